@@ -1,0 +1,63 @@
+"""ZoeDepth: depth in metres from a single photo (Bhat et al. 2023, arXiv 2302.12288).
+
+    from zoedepth import Predictor, load_model
+
+    depth = Predictor(load_model("zoed-lite"))("photo.jpg").depth  # float32 (height, width), metres
+
+Names are imported when first used, so that ``import zoedepth`` costs almost nothing.
+"""
+
+from importlib.metadata import version as _version
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from zoedepth.config import ModelConfig
+    from zoedepth.errors import InputError, ZoeDepthError
+    from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
+    from zoedepth.predict import DepthMap, Predictor
+    from zoedepth.pretrained import available_models, load_model, save_model
+
+__version__ = _version("zoedepth")
+
+__all__ = [
+    "DepthMap",
+    "DepthOutput",
+    "InputError",
+    "ModelConfig",
+    "Predictor",
+    "ZoeDepth",
+    "ZoeDepthError",
+    "available_models",
+    "load_model",
+    "save_model",
+]
+
+
+def __getattr__(name: str) -> object:
+    # Literal imports, so that type checkers and readers see what each name is.
+    if name == "ModelConfig":
+        from zoedepth.config import ModelConfig as value
+    elif name in ("InputError", "ZoeDepthError"):
+        from zoedepth import errors
+
+        value = getattr(errors, name)
+    elif name in ("DepthOutput", "ZoeDepth"):
+        from zoedepth.model import zoedepth
+
+        value = getattr(zoedepth, name)
+    elif name in ("DepthMap", "Predictor"):
+        from zoedepth import predict
+
+        value = getattr(predict, name)
+    elif name in ("available_models", "load_model", "save_model"):
+        from zoedepth import pretrained
+
+        value = getattr(pretrained, name)
+    else:
+        raise AttributeError(f"module 'zoedepth' has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

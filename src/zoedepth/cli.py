@@ -1,0 +1,100 @@
+"""The command line: :data:`COMMANDS` is the whole of it. Options are the signatures of the functions."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from zoedepth.errors import ZoeDepthError
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: a line of help, and its function, imported when it is called."""
+
+    help: str
+    load: Callable[[], Callable[[Sequence[str]], int]]
+
+
+def _demo() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.demo import demo
+
+    return _with_options(demo)
+
+
+def _predict() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.predict import predict
+
+    return _with_options(predict)
+
+
+def _evaluate() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.evaluate import evaluate
+
+    return _with_options(evaluate)
+
+
+def _train() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.train import train
+
+    return train
+
+
+COMMANDS = {
+    "demo": Command("depth of three real photographs, with the error where the truth is known", _demo),
+    "predict": Command("depth in metres of photos, folders or globs", _predict),
+    "train": Command("train a recipe, or go on with it", _train),
+    "evaluate": Command("score a model on photos with known depth, under the paper's protocol", _evaluate),
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command; returns the exit code: 0 done, 1 partly failed, 2 wrong input, 130 interrupted."""
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_help())
+        return 0 if arguments else 2
+    if arguments[0] == "--version":
+        from zoedepth import __version__
+
+        print(f"zoedepth {__version__}")
+        return 0
+    name, *rest = arguments
+    if name not in COMMANDS:
+        print(f"zoedepth: there is no command {name!r}\n\n{_help()}", file=sys.stderr)
+        return 2
+    try:
+        return COMMANDS[name].load()(rest)
+    except ZoeDepthError as error:
+        print(f"zoedepth {name}: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(f"zoedepth {name}: interrupted", file=sys.stderr)
+        return 130
+
+
+def _with_options(function: Callable[..., int]) -> Callable[[Sequence[str]], int]:
+    """A function that reads the options of ``function`` from the command line and calls it."""
+
+    def run(arguments: Sequence[str]) -> int:
+        import tyro
+
+        prog = f"zoedepth {function.__name__}"
+        return tyro.cli(function, args=list(arguments), prog=prog)
+
+    return run
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name:<{width}}  {command.help}" for name, command in COMMANDS.items()]
+    return "\n".join([
+        "usage: zoedepth COMMAND [OPTIONS]     (zoedepth COMMAND --help for the options)",
+        "",
+        "Depth in metres from a single photo.",
+        "",
+        *lines,
+    ])  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""``zoedepth demo``: real photographs through the model, one of them with ground truth."""
+
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
+from zoedepth.errors import MissingExtraError
+from zoedepth.images import DepthArray, ImageArray, write_image
+from zoedepth.metrics import compute_metrics
+
+if TYPE_CHECKING:
+    from zoedepth.predict import DepthMap
+
+# Calibration of the photo, valid at the size it is shipped at (docstring of skimage.data.stereo_motorcycle).
+FOCAL_PX = 994.978
+BASELINE = 0.193001
+"""Metres."""
+PRINCIPAL_POINT_SHIFT_PX = 31.086
+"""Column of the right camera's principal point minus the left's, added to each disparity."""
+
+NYU_FOCAL_PX, NYU_WIDTH = 518.86, 640
+"""The camera of NYU Depth v2, which indoor models learn metres from."""
+
+
+def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
+    """Depth of three photographs, and the error of the one whose depth was measured.
+
+    The photographs come with scikit-image; nothing is downloaded.
+
+    Args:
+        out: folder to write to.
+        model: name of a model in the package, or a file of weights.
+    """
+    data = _skimage_data()
+    photos = {"motorcycle": data.stereo_motorcycle()[0], "rocket": data.rocket(), "coffee": data.coffee()}
+    truth = motorcycle_depth()
+
+    from zoedepth.predict import Predictor
+    from zoedepth.pretrained import load_model
+
+    console = Console(highlight=False)
+    predictor = Predictor(load_model(model), device="auto")
+    results = {}
+    for name, photo in photos.items():
+        result = results[name] = predictor(photo)
+        result.save(out / f"{name}_depth.png")
+        write_image(out / f"{name}_preview.jpg", result.preview())
+        near, far = np.percentile(result.depth, (1, 99))
+        console.print(f"{name}: {near:.1f} to {far:.1f} m, {_domain(result)}")
+
+    motorcycle = results["motorcycle"]
+    console.print(_error_table(motorcycle.depth, truth))
+    console.print(_focal_note(motorcycle.size[1]), soft_wrap=True)
+    write_image(out / "demo.png", _contact_sheet(results, truth))
+    console.print(f"Pictures: {out / 'demo.png'}; the depth and preview of each photo are beside it.", soft_wrap=True)
+    return 0
+
+
+def motorcycle_depth() -> DepthArray:
+    """Measured depth of the motorcycle, metres, (500, 741); 0 where it was not measured.
+
+    Middlebury 2014 stereo (Scharstein et al., GCPR 2014), reduced four times by scikit-image: the depth is
+    focal length * baseline / (disparity + shift of the principal point), from 2.0 to 5.0 m.
+    """
+    _, _, disparity = _skimage_data().stereo_motorcycle()
+    with np.errstate(invalid="ignore"):
+        depth = FOCAL_PX * BASELINE / (disparity + PRINCIPAL_POINT_SHIFT_PX)
+    return np.where(np.isfinite(disparity), depth, 0).astype(np.float32)
+
+
+def _skimage_data() -> ModuleType:
+    try:
+        from skimage import data
+    except ImportError as error:
+        raise MissingExtraError("demo", "zoedepth demo") from error
+    return data
+
+
+def _domain(result: "DepthMap") -> str:
+    return f"{result.domain} ({result.domain_probability[result.domain]:.0%})"
+
+
+def _error_table(depth: DepthArray, truth: DepthArray) -> Table:
+    """Errors where the depth was measured, as they are and after one factor makes the medians agree."""
+    known = truth > 0
+    predicted, measured = depth[known], truth[known]
+    factor = float(np.median(measured) / np.median(predicted))
+    table = Table(title=f"motorcycle: error at its {known.sum():,} measured pixels")
+    for heading in ("depth", "REL", "RMSE", "delta1", "median predicted / measured"):
+        table.add_column(heading, justify="left" if heading == "depth" else "right")
+    for label, scaled in (("in metres, as predicted", predicted), (f"times {factor:.2f}", predicted * factor)):
+        metrics = compute_metrics(scaled, measured)
+        ratio = np.median(scaled) / np.median(measured)
+        table.add_row(label, f"{metrics.rel:.3f}", f"{metrics.rmse:.2f} m", f"{metrics.delta1:.3f}", f"{ratio:.2f}")
+    return table
+
+
+def _focal_note(width: int) -> str:
+    view = 2 * math.degrees(math.atan(width / 2 / FOCAL_PX))
+    nyu_view = 2 * math.degrees(math.atan(NYU_WIDTH / 2 / NYU_FOCAL_PX))
+    expected = (NYU_FOCAL_PX / NYU_WIDTH) / (FOCAL_PX / width)
+    return (
+        f"The model does not know the focal length. This photo spans {view:.0f} degrees, those of NYU {nyu_view:.0f}: a "
+        f"perfect model of NYU's camera would take the longer lens for nearness and predict {expected:.2f} of the depth."
+    )
+
+
+def _contact_sheet(results: dict[str, "DepthMap"], truth: DepthArray) -> ImageArray:
+    """Photo and depth in rows; below the motorcycle, what was measured and the error, in the colours of the depth."""
+    rows = []
+    for name, result in results.items():
+        measured = truth if name == "motorcycle" else None
+        both = result.depth if measured is None else np.concatenate([result.depth, measured])
+        vmin, vmax = depth_range(both, percentiles=(1, 99))
+        rows.append([
+            panel(result.image, caption=name),
+            _depth_panel(result.depth, vmin, vmax, caption=f"depth, {_domain(result)}"),
+        ])  # fmt: skip
+        if measured is not None:
+            rows.append([
+                _depth_panel(measured, vmin, vmax, caption="measured depth (grey: not measured)"),
+                _error_panel(result.depth, measured),
+            ])  # fmt: skip
+    return sheet(rows)
+
+
+def _depth_panel(depth: DepthArray, vmin: float, vmax: float, *, caption: str) -> ImageArray:
+    bar = color_bar(depth.shape[0], vmin=vmin, vmax=vmax)
+    return panel(colorize(depth, vmin=vmin, vmax=vmax), bar=bar, caption=caption)
+
+
+def _error_panel(depth: DepthArray, truth: DepthArray) -> ImageArray:
+    """Predicted over measured depth in percent: 100 is right, blue too near, red too far."""
+    percent = np.full_like(truth, np.nan)
+    np.divide(100 * depth, truth, out=percent, where=truth > 0)
+    bar = color_bar(truth.shape[0], vmin=50, vmax=150, colormap="Spectral_r", unit="%")
+    colored = colorize(percent, vmin=50, vmax=150, colormap="Spectral_r")
+    return panel(colored, bar=bar, caption="predicted / measured (blue: too near, red: too far)")

@@ -1,0 +1,226 @@
+"""The configuration of a model: frozen dataclasses, written into every checkpoint as JSON.
+
+Only ``ZoeDepth.__init__`` reads a :class:`ModelConfig`; the modules below it take plain keywords. Nothing here imports
+torch, so the command line can show and change configurations without waiting for it.
+"""
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeVar, Union
+
+from zoedepth.errors import InputError
+
+
+def _require(condition: bool, name: str, expected: str, value: object) -> None:
+    if not condition:
+        raise InputError(f"{name} must be {expected}; it is {value!r}")
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """An encoder: a timm architecture and where its four feature maps are taken (table in ``model/encoder.py``)."""
+
+    name: str
+    """timm architecture."""
+    family: Literal["beit", "swin", "convolutional"]
+    """How its features are read: BEiT gives tokens at one stride, the others a pyramid at strides 4, 8, 16, 32."""
+    size: tuple[int, int]
+    """(height, width) of the pre-training: the size of BEiT's position tables, the only size Swin takes."""
+    taps: tuple[int, ...] = ()
+    """BEiT: index of the four blocks whose outputs are the maps. Others: empty, they have exactly four stages."""
+    channels: tuple[int, ...] = ()
+    """BEiT: channels the four maps are reassembled to. Others: empty, the maps are used as they are."""
+    width: int | None = None
+    """Width of the first stage in place of timm's, for small random twins."""
+    depth: tuple[int, ...] | None = None
+    """Number of blocks (of each stage) in place of timm's."""
+    heads: tuple[int, ...] | None = None
+    """Number of attention heads (of each stage) in place of timm's."""
+
+
+@dataclass(frozen=True)
+class DecoderConfig:
+    """DPT decoder: reassemble, four fusion levels, relative head."""
+
+    widths: tuple[int, int, int, int] = (256, 256, 256, 256)
+    """Channels of the levels at strides 4, 8, 16, 32."""
+    features: int = 32
+    """Channels of the last decoder map, the one the relative depth and the probabilities are predicted from."""
+    output_stride: Literal[1, 2] = 1
+    """Stride of that last map. 1: as published. 2: a quarter of the work; depth is then upsampled bilinearly."""
+
+
+@dataclass(frozen=True)
+class AttractorConfig:
+    """The metric bins module (paper section 3.2): seed bin centers, attractor layers, probabilities."""
+
+    n_bins: int = 64
+    """Bin centers at every pixel (N_total)."""
+    n_attractors: tuple[int, int, int, int] = (16, 8, 4, 1)
+    """Attractor points at strides 16, 8, 4, 2."""
+    kind: Literal["inverse", "exponential"] = "inverse"
+    """Attractor: Eq. 2 or Eq. 3."""
+    reduce: Literal["sum", "mean"] = "sum"
+    """The pulls of the attractors are summed (paper) or averaged (released)."""
+    alpha: float = 300.0
+    """Strength of the attractors: a center is out of reach beyond about alpha ** (-1 / gamma)."""
+    gamma: float = 2.0
+    """Exponent of the distance in Eqs. 2 and 3."""
+    centers: Literal["softplus", "normed"] = "softplus"
+    """softplus: metres, positive, unbounded. normed: fractions of the depth range of the domain."""
+    attractor_ratio: bool = True
+    """normed only: an attractor is a0 / (a0 + a1) of a pair (intended), or a0 alone (what the released code does)."""
+    relative_input: bool = True
+    """The relative depth is given to the probabilities beside the decoder features (paper)."""
+    probability: Literal["log-binomial", "softmax"] = "log-binomial"
+    """How the probabilities of the bins are predicted: Eq. 4, or a softmax over free logits (ablation)."""
+    bottleneck_factor: int = 2
+    """The hidden width of the probability predictor is its input width divided by this."""
+    min_temperature: float = 0.0212
+    """Lower bound of the temperature t of the log-binomial."""
+    max_temperature: float = 50.0
+    """Upper bound of the temperature t of the log-binomial."""
+    embedding_width: int = 128
+    """Channels of the bin embedding that goes from level to level."""
+    projector_width: int = 128
+    """Hidden channels of the projectors from decoder features to bin embedding."""
+    seed_width: int = 256
+    """Hidden channels of the seed bin regressor."""
+    initial_centers: Literal["random", "geometric"] = "random"
+    """random: as released. geometric (softplus only): a new head starts with centers spread geometrically over its
+    depth range instead of all at 0.7 m, which matters when training is short."""
+
+    def __post_init__(self) -> None:
+        _require(self.n_bins >= 2, "head.n_bins", "at least 2", self.n_bins)
+        _require(len(self.n_attractors) == 4, "head.n_attractors", "four numbers, coarse to fine", self.n_attractors)
+        _require(min(self.n_attractors) >= 1, "head.n_attractors", "at least one attractor", self.n_attractors)
+        _require(0 <= self.min_temperature < self.max_temperature, "head.min_temperature",
+                 "0 <= min_temperature < max_temperature", self.min_temperature)  # fmt: skip
+        _require(self.centers == "softplus" or self.initial_centers == "random", "head.initial_centers",
+                 "'random' for normed centers", self.initial_centers)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RouterConfig:
+    """Which metric head an image takes (paper section 3.3)."""
+
+    kind: Literal["labeled", "trained", "auto"] = "trained"
+    """R.1: told by the caller. R.2: a classifier trained on labels. R.3: a classifier trained by the depth alone."""
+    classifier: Literal["mlp", "transformer"] = "mlp"
+    """mlp: of the pooled bottleneck (paper). transformer: four layers over the bottleneck's tokens (released)."""
+    width: int = 128
+    """Channels of the classifier."""
+
+
+@dataclass(frozen=True)
+class Domain:
+    """A scene type with its own metric head."""
+
+    name: str
+    """Scene type, as in the data's ``domain`` column: "indoor", "outdoor" or your own."""
+    min_depth: float = 1e-3
+    """Nearest depth, metres."""
+    max_depth: float = 10.0
+    """Farthest depth, metres. Bounds normed centers; softplus centers may go beyond."""
+
+    def __post_init__(self) -> None:
+        _require(bool(self.name), "domain.name", "a name", self.name)
+        _require(0 < self.min_depth < self.max_depth, f"domain {self.name!r}", "0 < min_depth < max_depth, in metres",
+                 (self.min_depth, self.max_depth))  # fmt: skip
+
+
+INDOOR = Domain("indoor", 1e-3, 10.0)
+OUTDOOR = Domain("outdoor", 1e-3, 80.0)
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """A whole ZoeDepth model (paper Fig. 2)."""
+
+    encoder: EncoderConfig
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    head: AttractorConfig = field(default_factory=AttractorConfig)
+    """Every domain has its own head of this kind."""
+    router: RouterConfig = field(default_factory=RouterConfig)
+    """Ignored with a single domain."""
+    domains: tuple[Domain, ...] = (INDOOR,)
+    size: tuple[int, int] = (384, 512)
+    """(height, width) the model is trained at; photos are resized near it."""
+    antialias: bool = False
+    """Photos are resized with a filter that does not alias. False in the released models."""
+
+    def __post_init__(self) -> None:
+        names = [domain.name for domain in self.domains]
+        _require(len(names) >= 1, "domains", "at least one domain", names)
+        _require(len(set(names)) == len(names), "domains", "domains of different names", names)
+        _require(all(side > 0 and side % self.multiple == 0 for side in self.size), "size",
+                 f"(height, width), multiples of {self.multiple}", self.size)  # fmt: skip
+        if not self.keep_aspect_ratio:
+            _require(self.size == self.encoder.size, "size",
+                     f"{self.encoder.size}, the only one {self.encoder.name} takes", self.size)  # fmt: skip
+
+    @property
+    def multiple(self) -> int:
+        """Sides of the network input are multiples of this: the stride of the coarsest map."""
+        return 32
+
+    @property
+    def keep_aspect_ratio(self) -> bool:
+        """Whether the input may have any size; Swin's position tables and windows allow one only."""
+        return self.encoder.family != "swin"
+
+
+def to_dict(config: Any) -> dict[str, Any]:
+    """A config dataclass as plain dicts, lists and values, ready for JSON."""
+    return dataclasses.asdict(config)
+
+
+ConfigType = TypeVar("ConfigType")
+
+
+def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: str = "config") -> ConfigType:
+    """The inverse of :func:`to_dict`.
+
+    Raises:
+        InputError: a field is unknown, missing, or of the wrong type; the message names it.
+    """
+    return _build(config_type, values, where)
+
+
+def _build(kind: Any, value: Any, where: str) -> Any:
+    """``value``, from JSON, as the annotated type ``kind``."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
+        if not isinstance(value, dict):
+            raise InputError(f"{where} must be an object with the fields of {kind.__name__}, not {value!r}")
+        known = {item.name: item for item in dataclasses.fields(kind)}
+        if unknown := sorted(set(value) - set(known)):
+            raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")
+        hints = typing.get_type_hints(kind)
+        built = {name: _build(hints[name], item, f"{where}.{name}") for name, item in value.items()}
+        try:
+            return kind(**built)
+        except TypeError as error:
+            raise InputError(f"{where}: {error}") from error
+    if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise InputError(f"{where} must be a list, not {value!r}")
+        kinds = [arguments[0]] * len(value) if arguments[-1] is Ellipsis else list(arguments)
+        if len(kinds) != len(value):
+            raise InputError(f"{where} must have {len(kinds)} entries, not {len(value)}")
+        return tuple(_build(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
+    if origin is Literal:
+        if value not in arguments:
+            raise InputError(f"{where} must be one of {list(arguments)}, not {value!r}")
+        return value
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in arguments:
+            return None
+        return _build(next(k for k in arguments if k is not type(None)), value, where)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise InputError(f"{where} must be {kind.__name__}, not {value!r}")
+    return value

@@ -1,0 +1,1 @@
+"""Data sets, augmentation and mixing: files to batches for training and evaluation."""

@@ -1,0 +1,160 @@
+"""Augmentations: functions of a sample and a random generator, the same for photo, target and mask.
+
+A list of them is applied in order by :func:`augment`. Those that move pixels keep the geometry honest: the target stays
+what the camera would have measured.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+
+from zoedepth.data.sample import Sample
+
+Augmentation = Callable[[Sample, np.random.Generator], Sample]
+
+
+def augment(sample: Sample, augmentations: Sequence[Augmentation], rng: np.random.Generator) -> Sample:
+    """Apply each in turn."""
+    for augmentation in augmentations:
+        sample = augmentation(sample, rng)
+    return sample
+
+
+def fit_crop(size: tuple[int, int], *, max_zoom: float = 1.0, scale_depth: bool = True) -> Augmentation:
+    """A window of the photo, of the shape of ``size``, resized to it.
+
+    Without zoom the window is the largest that fits: the scale is the one at which the whole photo would be seen by the
+    network. A zoom by z takes a window z times smaller, at a place drawn uniformly. For a camera of unchanged focal
+    length that is a scene z times nearer, so depth is divided by z.
+
+    Args:
+        size: (height, width) of the result.
+        max_zoom: z is drawn log-uniformly from 1 to this.
+        scale_depth: divide depth by z. False is a change of focal length instead.
+    """
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        zoom = math.exp(rng.uniform(0, math.log(max_zoom))) if max_zoom > 1 else 1.0
+        height, width = sample.image.shape[-2:]
+        scale = max(size[0] / height, size[1] / width) * zoom
+        window = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
+        top, left = (int(rng.integers(0, whole - part + 1)) for whole, part in zip((height, width), window, strict=True))
+        return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0)
+
+    return apply
+
+
+def squeeze(size: tuple[int, int]) -> Augmentation:
+    """The whole photo resized to ``size``, whatever its shape (the released training)."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        return _resized_window(sample, 0, 0, tuple(sample.image.shape[-2:]), size, 1.0)
+
+    return apply
+
+
+def kitti_crop() -> Augmentation:
+    """The bottom centre 352x1216 of the photo (the "KB crop" of KITTI's depth benchmark); smaller photos stay."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        height, width = sample.image.shape[-2:]
+        rows = slice(max(0, height - 352), height)
+        left = max(0, int((width - 1216) / 2))
+        columns = slice(left, left + min(width, 1216))
+        return _map(sample, lambda x: x[:, rows, columns])
+
+    return apply
+
+
+def flip(*, probability: float = 0.5) -> Augmentation:
+    """Mirror left and right."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        return _map(sample, lambda x: x.flip(-1)) if rng.random() < probability else sample
+
+    return apply
+
+
+def rotate(*, degrees: float = 1.0) -> Augmentation:
+    """Turn about the centre by an angle drawn from +-``degrees``; corners that come from outside are black and unknown."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        angle = math.radians(rng.uniform(-degrees, degrees))
+        height, width = sample.image.shape[-2:]
+        # affine_grid works in units of half the picture's sides.
+        cos, sin = math.cos(angle), math.sin(angle)
+        theta = torch.tensor([[[cos, -sin * height / width, 0], [sin * width / height, cos, 0]]])
+        grid = F.affine_grid(theta, [1, 1, height, width], align_corners=False)
+        image = F.grid_sample(sample.image[None], grid, mode="bilinear", align_corners=False)[0]
+        target = F.grid_sample(sample.target[None], grid, mode="nearest", align_corners=False)[0]
+        mask = F.grid_sample(sample.mask[None].float(), grid, mode="nearest", align_corners=False)[0] > 0.5
+        return replace(sample, image=image, target=target, mask=mask)
+
+    return apply
+
+
+def jitter_colors(
+    *,
+    probability: float = 0.5,
+    gamma: tuple[float, float] = (0.9, 1.1),
+    brightness: tuple[float, float] = (0.75, 1.25),
+    channel_gain: tuple[float, float] = (0.9, 1.1),
+    saturation: tuple[float, float] = (1.0, 1.0),
+) -> Augmentation:
+    """Gamma, brightness, a gain for each channel (all as released), and saturation (0 is grey)."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        if rng.random() >= probability:
+            return sample
+        gains = torch.tensor(rng.uniform(*channel_gain, size=(3, 1, 1)), dtype=torch.float32)
+        image = sample.image ** rng.uniform(*gamma) * rng.uniform(*brightness) * gains
+        grey = image.mean(dim=0, keepdim=True)
+        return replace(sample, image=(grey + (image - grey) * rng.uniform(*saturation)).clamp(0, 1))
+
+    return apply
+
+
+def limit_depth(min_depth: float, max_depth: float) -> Augmentation:
+    """Depth at or beyond these bounds (metres) counts as unknown. Disparity stays."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        if sample.kind == "disparity":
+            return sample
+        return replace(sample, mask=sample.mask & (sample.target > min_depth) & (sample.target < max_depth))
+
+    return apply
+
+
+def to_disparity() -> Augmentation:
+    """Depth to disparity 1 / depth, each image's known values scaled to [0, 1] (MiDaS; stage 1 only)."""
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        inverse = 1 / sample.target.clamp(min=1e-3) if sample.kind == "depth" else sample.target
+        if not sample.mask.any():
+            return replace(sample, target=torch.zeros_like(sample.target), kind="disparity")
+        known = inverse[sample.mask]
+        spread = (known.max() - known.min()).clamp(min=1e-6)
+        target = torch.where(sample.mask, (inverse - known.min()) / spread, 0.0)
+        return replace(sample, target=target, kind="disparity")
+
+    return apply
+
+
+def _map(sample: Sample, change: Callable[[torch.Tensor], torch.Tensor]) -> Sample:
+    """The same change of the pixel grid for photo, target and mask."""
+    return replace(sample, image=change(sample.image), target=change(sample.target), mask=change(sample.mask))
+
+
+def _resized_window(
+    sample: Sample, top: int, left: int, window: tuple[int, int], size: tuple[int, int], zoom: float
+) -> Sample:
+    cropped = _map(sample, lambda x: x[:, top : top + window[0], left : left + window[1]])
+    image = F.interpolate(cropped.image[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
+    # Nearest: the mean of a near and a far depth is a depth of nothing.
+    target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
+    mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
+    return replace(sample, image=image.clamp(0, 1), target=target / zoom if sample.kind == "depth" else target, mask=mask)

@@ -1,0 +1,129 @@
+"""A folder of photos with depth, listed in a CSV file: the format for your own data.
+
+One line a pair, paths relative to the CSV file::
+
+    image,depth,depth_scale,domain
+    image/0001.jpg,depth/0001.png,1000,indoor
+
+``depth`` is a 16-bit PNG, metres = value / ``depth_scale``, 0 where unknown. ``disparity`` in its place is an 8- or
+16-bit PNG of inverse depth up to an unknown scale and shift, for stage 1, where the domain may be left out. Other columns are left
+alone.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch.utils.data import Dataset
+
+from zoedepth.data.sample import Sample, Target
+from zoedepth.errors import InputError
+from zoedepth.images import read_image
+
+
+@dataclass(frozen=True)
+class Pair:
+    """One line of the CSV file."""
+
+    image: Path
+    target: Path
+    kind: Target
+    scale: float
+    """depth: the stored value of one metre. disparity: 1."""
+    domain: str
+
+
+class PairDataset(Dataset[Sample]):
+    """The pairs of one CSV file, as :class:`Sample` at their own size.
+
+    Args:
+        path: the CSV file, or a folder with one of the name of the split.
+        split: name of the CSV file, without suffix, where ``path`` is a folder.
+
+    Raises:
+        InputError: the CSV file is missing or malformed (the line is named), or files it lists are missing.
+    """
+
+    def __init__(self, path: str | Path, *, split: str = "train") -> None:
+        path = Path(path)
+        self.path = path / f"{split}.csv" if path.is_dir() else path
+        if not self.path.is_file():
+            raise InputError(f"there is no {self.path}; give a CSV file with the columns image,depth,depth_scale,domain")
+        with self.path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        self.pairs = [_parse(row, self.path, line) for line, row in enumerate(rows, start=2)]
+        if not self.pairs:
+            raise InputError(f"{self.path} lists no pairs")
+        missing = [path for pair in self.pairs for path in (pair.image, pair.target) if not path.is_file()]
+        if missing:
+            raise InputError(f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}")
+
+    def __len__(self) -> int:
+        return len(self.pairs)
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one pair.
+
+        Raises:
+            InputError: a file is damaged, or photo and target differ in size.
+        """
+        pair = self.pairs[index]
+        image = read_image(pair.image)
+        stored = _read_png(pair.target)
+        if stored.shape != image.shape[:2]:
+            raise InputError(f"{pair.image} is {image.shape[:2]} and {pair.target} is {stored.shape}: sizes must agree")
+        target = torch.from_numpy(stored.astype(np.float32) / pair.scale)[None]
+        return Sample(
+            image=torch.tensor(image).permute(2, 0, 1).float() / 255,
+            target=target,
+            mask=target > 0,
+            kind=pair.kind,
+            domain=pair.domain,
+            name=str(pair.image.relative_to(self.path.parent)),
+        )
+
+    @property
+    def domains(self) -> list[str]:
+        """The domains that occur."""
+        return sorted({pair.domain for pair in self.pairs})
+
+    @property
+    def kinds(self) -> list[Target]:
+        """The kinds of target that occur."""
+        return sorted({pair.kind for pair in self.pairs})
+
+
+def _parse(row: dict[str, str], path: Path, line: int) -> Pair:
+    """A line of the CSV file."""
+    kinds: list[Target] = [kind for kind in ("depth", "disparity") if row.get(kind)]
+    if not row.get("image") or len(kinds) != 1:
+        raise InputError(f"{path}, line {line}: needs image and one of depth or disparity")
+    kind = kinds[0]
+    if kind == "depth" and not row.get("domain"):
+        raise InputError(f"{path}, line {line}: needs a domain, for example indoor")
+    try:
+        scale = float(row["depth_scale"]) if kind == "depth" else 1.0
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}, line {line}: depth_scale must be the stored value of one metre") from error
+    if not scale > 0:
+        raise InputError(f"{path}, line {line}: depth_scale must be > 0; it is {scale}")
+    for name in (row["image"], row[kind]):
+        # A list is data from elsewhere: it may not reach out of its folder.
+        if Path(name).is_absolute() or ".." in Path(name).parts:
+            raise InputError(f"{path}, line {line}: {name!r} must be a path inside the folder of the CSV file")
+    return Pair(path.parent / row["image"], path.parent / row[kind], kind, scale, row.get("domain") or "")
+
+
+def _read_png(path: Path) -> np.ndarray:
+    """The stored values of a single-channel 8- or 16-bit PNG, (height, width)."""
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:
+            values = np.asarray(picture)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise InputError(f"{path} is not a readable PNG ({error})") from error
+    if values.ndim != 2 or values.dtype == bool:
+        raise InputError(f"{path} must be a PNG of one channel of 8 or 16 bits; it is {values.dtype} {values.shape}")
+    return values

@@ -1,0 +1,106 @@
+"""Losses: functions of tensors, computed in float32 whatever the autocast.
+
+Predictions and targets are (batch, 1, height, width); masks are boolean and of the same shape, True where the target is
+known. Every loss is a scalar tensor, and 0 (with a gradient of 0) where nothing is known.
+"""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from zoedepth.errors import InputError
+
+Map = Float[Tensor, "batch 1 height width"]
+Mask = Bool[Tensor, "batch 1 height width"]
+
+
+def silog(prediction: Map, target: Map, mask: Mask, *, beta: float = 0.15, eps: float = 1e-7) -> Float[Tensor, ""]:
+    """Scale-invariant log loss: 10 sqrt(var(g) + beta mean(g)^2), g = ln(prediction) - ln(target), both in metres.
+
+    The statistics are those of all known pixels of the batch together; the variance is the unbiased one. (Released
+    ``trainers/loss.py::SILogLoss``; beta = 0.15 is lambda = 0.85 of Eigen et al.)
+    """
+    known = mask.flatten()
+    if known.sum() < 2:
+        return 0 * prediction.float().sum()
+    g = torch.log(prediction.float().flatten()[known] + eps) - torch.log(target.float().flatten()[known] + eps)
+    # 1e-8: the square root has an infinite slope at 0.
+    return 10 * torch.sqrt(g.var() + beta * g.mean() ** 2 + 1e-8)
+
+
+def domain_cross_entropy(
+    logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]
+) -> Float[Tensor, ""]:
+    """Cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
+    return F.cross_entropy(logits.float(), domain)
+
+
+def scale_and_shift_invariant(
+    prediction: Map,
+    target: Map,
+    mask: Mask,
+    *,
+    trim: float = 0.2,
+    gradient_weight: float = 0.5,
+    n_scales: int = 4,
+    min_pixels: int = 100,
+) -> Float[Tensor, ""]:
+    """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, mean over images.
+
+    Both maps of an image are first freed of scale and shift by :func:`normalize_robust`. (Ranftl et al. 2020, Eqs. 5-11.)
+
+    Args:
+        prediction: relative depth (inverse depth up to scale and shift).
+        target: disparity, in any affine unit.
+        mask: True where the target is known.
+        trim: share of the largest residuals of each image that is ignored.
+        gradient_weight: weight of the gradient term (alpha in MiDaS).
+        n_scales: number of scales of the gradient term.
+        min_pixels: images with fewer known pixels are left out.
+    """
+    losses = []
+    for image, truth, known in zip(prediction.float(), target.float(), mask, strict=True):
+        if known.sum() < min_pixels:
+            continue
+        residual = normalize_robust(image, known) - normalize_robust(truth, known)
+        loss = trimmed_absolute_error(residual[known], trim=trim)
+        if gradient_weight > 0:
+            loss = loss + gradient_weight * gradient_error(residual[0], known[0], n_scales=n_scales)
+        losses.append(loss)
+    return torch.stack(losses).mean() if losses else 0 * prediction.float().sum()
+
+
+def normalize_robust(
+    x: Float[Tensor, "1 height width"], mask: Bool[Tensor, "1 height width"]
+) -> Float[Tensor, "1 height width"]:
+    """(x - t) / s with t the median of the known pixels and s their mean absolute deviation from it."""
+    known = x[mask]
+    shift = known.median()
+    scale = (known - shift).abs().mean().clamp(min=1e-6)
+    return (x - shift) / scale
+
+
+def trimmed_absolute_error(residual: Float[Tensor, " pixels"], *, trim: float) -> Float[Tensor, ""]:
+    """Sum of the smallest (1 - trim) of the absolute residuals, over twice the number of all of them."""
+    if not 0 <= trim < 1:
+        raise InputError(f"trim must be in [0, 1); it is {trim}")
+    n_kept = int((1 - trim) * residual.numel())
+    kept = residual.abs().topk(n_kept, largest=False, sorted=False).values
+    return kept.sum() / (2 * residual.numel())
+
+
+def gradient_error(
+    residual: Float[Tensor, "height width"], mask: Bool[Tensor, "height width"], *, n_scales: int
+) -> Float[Tensor, ""]:
+    """Mean absolute differences of the residual between neighbours, summed over scales of stride 1, 2, 4, ...
+
+    A difference counts where both neighbours are known; each scale is divided by its number of known pixels.
+    """
+    total = torch.zeros((), dtype=residual.dtype, device=residual.device)
+    for scale in range(n_scales):
+        r, m = residual[:: 2**scale, :: 2**scale], mask[:: 2**scale, :: 2**scale]
+        across = ((r[:, 1:] - r[:, :-1]).abs() * (m[:, 1:] & m[:, :-1])).sum()
+        down = ((r[1:] - r[:-1]).abs() * (m[1:] & m[:-1])).sum()
+        total = total + (across + down) / m.sum().clamp(min=1)
+    return total

@@ -1,0 +1,172 @@
+"""The DPT decoder: reassemble, four fusion levels, relative head (paper section 3.2; MiDaS ``dpt_depth.py``)."""
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from zoedepth.model.encoder import EncoderFeatures
+
+
+class DecoderFeatures(NamedTuple):
+    """Everything a metric head may look at."""
+
+    bottleneck: Float[Tensor, "batch _ _ _"]
+    """Stride 32: the coarsest map before fusion."""
+    levels: tuple[Float[Tensor, "batch _ _ _"], ...]
+    """Outputs of the four fusion blocks, coarse to fine: strides 16, 8, 4, 2."""
+    last: Float[Tensor, "batch features height width"]
+    """The map the relative depth is predicted from, at stride ``output_stride``."""
+    relative: Float[Tensor, "batch 1 height width"]
+    """Relative depth: inverse depth up to an unknown scale and shift, >= 0, near is large; same stride as ``last``."""
+
+
+class DecoderChannels(NamedTuple):
+    """Channels of the maps in :class:`DecoderFeatures`, for the modules built on them."""
+
+    bottleneck: int
+    levels: tuple[int, int, int, int]
+    last: int
+
+
+class Decoder(nn.Module):
+    """Encoder maps in, decoder features and relative depth out.
+
+    Args:
+        channels, strides, has_readout: of the encoder's maps.
+        reassembled_channels: channels of the maps at strides 4, 8, 16, 32.
+        widths: channels of the decoder at strides 4, 8, 16, 32 (256 everywhere in DPT).
+        features: channels of the last map.
+        output_stride: stride of the last map, 1 or 2.
+    """
+
+    def __init__(
+        self,
+        channels: tuple[int, ...],
+        strides: tuple[int, ...],
+        *,
+        has_readout: bool,
+        reassembled_channels: tuple[int, ...],
+        widths: tuple[int, int, int, int],
+        features: int,
+        output_stride: int,
+    ) -> None:
+        super().__init__()
+        self.reassemble = nn.ModuleList(
+            Reassemble(channels[i], reassembled_channels[i], stride=strides[i], output_stride=4 * 2**i)
+            if has_readout
+            else nn.Identity()
+            for i in range(4)
+        )
+        self.project = nn.ModuleList(
+            nn.Conv2d(reassembled_channels[i], widths[i], kernel_size=3, padding=1, bias=False) for i in range(4)
+        )
+        # Coarse to fine. The coarsest has nothing to fuse with: the released checkpoints hold a unit for it, unused.
+        self.fusion = nn.ModuleList(
+            Fusion(widths[i], widths[max(i - 1, 0)], has_skip=i < 3) for i in reversed(range(4))
+        )
+        self.relative_head = RelativeHead(widths[0], features=features, upsample=output_stride == 1)
+        self.channels = DecoderChannels(widths[3], (widths[2], widths[1], widths[0], widths[0]), features)
+
+    def forward(self, features: EncoderFeatures) -> DecoderFeatures:
+        """Decode four encoder maps."""
+        maps = [
+            reassemble(x) if features.readouts is None else reassemble(x, features.readouts[i])
+            for i, (reassemble, x) in enumerate(zip(self.reassemble, features.maps, strict=True))
+        ]
+        maps = [project(x) for project, x in zip(self.project, maps, strict=True)]
+        sizes = [x.shape[-2:] for x in maps]
+        sizes.insert(0, torch.Size([2 * sizes[0][0], 2 * sizes[0][1]]))
+        level = None
+        levels = []
+        for i, fusion in zip(reversed(range(4)), self.fusion, strict=True):  # from stride 32 up to stride 4
+            level = fusion(maps[i], level, size=sizes[i])
+            levels.append(level)
+        last, relative = self.relative_head(levels[-1])
+        return DecoderFeatures(maps[3], tuple(levels), last, relative)
+
+
+class Reassemble(nn.Module):
+    """Tokens to a map: join the readout token to every token, project, resample (DPT section 3.1, "project" readout)."""
+
+    def __init__(self, channels: int, output_channels: int, *, stride: int, output_stride: int) -> None:
+        super().__init__()
+        self.readout = nn.Linear(2 * channels, channels)
+        self.project = nn.Conv2d(channels, output_channels, kernel_size=1)
+        if output_stride < stride:
+            factor = stride // output_stride
+            self.resample = nn.ConvTranspose2d(output_channels, output_channels, kernel_size=factor, stride=factor)
+        elif output_stride > stride:
+            self.resample = nn.Conv2d(
+                output_channels, output_channels, kernel_size=3, stride=output_stride // stride, padding=1
+            )
+        else:
+            self.resample = nn.Identity()
+
+    def forward(
+        self, x: Float[Tensor, "batch channels rows columns"], readout: Float[Tensor, "batch channels"]
+    ) -> Float[Tensor, "batch output_channels _ _"]:
+        """One map, given the class token beside it."""
+        tokens = x.flatten(2).transpose(1, 2)
+        tokens = torch.cat([tokens, readout[:, None].expand_as(tokens)], dim=2)
+        tokens = F.gelu(self.readout(tokens))
+        return self.resample(self.project(tokens.transpose(1, 2).unflatten(2, x.shape[-2:])))
+
+
+class Fusion(nn.Module):
+    """Add the skip, refine, go to the next finer size (RefineNet block of DPT; MiDaS ``FeatureFusionBlock_custom``)."""
+
+    def __init__(self, width: int, output_width: int, *, has_skip: bool) -> None:
+        super().__init__()
+        self.skip = ResidualUnit(width) if has_skip else None
+        self.refine = ResidualUnit(width)
+        self.project = nn.Conv2d(width, output_width, kernel_size=1)
+
+    def forward(
+        self, skip: Float[Tensor, "batch width _ _"], coarser: Float[Tensor, "batch width _ _"] | None, *, size: torch.Size
+    ) -> Float[Tensor, "batch output_width _ _"]:
+        """Fuse a map with the level before it (None at the coarsest) and upsample to ``size``."""
+        x = skip if self.skip is None or coarser is None else coarser + self.skip(skip)
+        # MiDaS upsamples first; a 1x1 convolution and an interpolation commute, and this order is 4x less work.
+        return upsample(self.project(self.refine(x)), size)
+
+
+class ResidualUnit(nn.Module):
+    """x + conv(relu(conv(relu(x)))) (RefineNet; MiDaS ``ResidualConvUnit_custom``)."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(width, width, kernel_size=3, padding=1)
+        self.conv2 = nn.Conv2d(width, width, kernel_size=3, padding=1)
+
+    def forward(self, x: Float[Tensor, "batch width _ _"]) -> Float[Tensor, "batch width _ _"]:
+        """Same shape."""
+        return x + self.conv2(F.relu(self.conv1(F.relu(x))))
+
+
+class RelativeHead(nn.Module):
+    """The last decoder map and the relative depth (MiDaS ``DPTDepthModel.head``)."""
+
+    def __init__(self, width: int, *, features: int, upsample: bool) -> None:
+        super().__init__()
+        self.upsample = upsample
+        self.conv1 = nn.Conv2d(width, width // 2, kernel_size=3, padding=1)
+        self.conv2 = nn.Conv2d(width // 2, features, kernel_size=3, padding=1)
+        self.conv3 = nn.Conv2d(features, 1, kernel_size=1)
+
+    def forward(
+        self, x: Float[Tensor, "batch width _ _"]
+    ) -> tuple[Float[Tensor, "batch features _ _"], Float[Tensor, "batch 1 _ _"]]:
+        """The feature map and the relative depth of the finest level."""
+        x = self.conv1(x)
+        if self.upsample:
+            x = upsample(x, torch.Size([2 * x.shape[-2], 2 * x.shape[-1]]))
+        last = F.relu(self.conv2(x))
+        return last, F.relu(self.conv3(last))
+
+
+def upsample(x: Float[Tensor, "batch channels _ _"], size: torch.Size) -> Float[Tensor, "batch channels height width"]:
+    """Bilinear, ``align_corners=True``, as everywhere in the decoder and the heads; nothing at equal size."""
+    return x if x.shape[-2:] == size else F.interpolate(x, size=size, mode="bilinear", align_corners=True)

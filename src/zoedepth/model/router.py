@@ -1,0 +1,127 @@
+"""Routers: which metric head each image takes (paper section 3.3, R.1 to R.3)."""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from zoedepth.config import RouterConfig
+from zoedepth.errors import InputError
+
+
+class Routing(NamedTuple):
+    """A router's decision, image by image."""
+
+    domain: Int[Tensor, " batch"]
+    """Index of the head each image takes."""
+    logits: Float[Tensor, "batch domains"] | None
+    """Scores of the domains, where there is a classifier."""
+    weight: Float[Tensor, "batch domains"] | None = None
+    """Where not None, the image takes all heads, and this mixture of their depths."""
+
+
+class LabeledRouter(nn.Module):
+    """R.1: the caller says the domain, in training and use. With one domain there is nothing to say."""
+
+    def __init__(self, n_domains: int) -> None:
+        super().__init__()
+        self.n_domains = n_domains
+
+    def forward(
+        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
+    ) -> Routing:
+        """The given domains.
+
+        Raises:
+            InputError: no domain is given and there is more than one.
+        """
+        if domain is None:
+            if self.n_domains > 1:
+                raise InputError("this model's router is labeled: say the domain of each image (domain=...)")
+            domain = torch.zeros(len(bottleneck), dtype=torch.long, device=bottleneck.device)
+        return Routing(domain, None)
+
+
+class TrainedRouter(nn.Module):
+    """R.2: a classifier trained on the domain labels; each image takes the head of its own best score.
+
+    A given domain overrides the classifier. (The released code takes one vote for a whole batch.)
+    """
+
+    def __init__(self, classifier: nn.Module) -> None:
+        super().__init__()
+        self.classifier = classifier
+
+    def forward(
+        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
+    ) -> Routing:
+        """The given domains, or the classifier's."""
+        logits = self.classifier(bottleneck).float()
+        return Routing(logits.argmax(dim=1) if domain is None else domain, logits)
+
+
+class AutoRouter(TrainedRouter):
+    """R.3: the same classifier without labels, trained end to end by the depth loss alone.
+
+    A hard choice passes no gradient to the classifier. While training, the depth is therefore the mixture of all heads'
+    depths weighted by the router's probabilities; in evaluation each image takes its best head.
+    """
+
+    def forward(
+        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
+    ) -> Routing:
+        """A mixture while training, the best head in evaluation."""
+        routing = super().forward(bottleneck, domain)
+        if self.training and domain is None and routing.logits is not None:
+            return routing._replace(weight=routing.logits.softmax(dim=1))
+        return routing
+
+
+class MlpClassifier(nn.Module):
+    """An MLP of the pooled bottleneck (paper)."""
+
+    def __init__(self, channels: int, n_domains: int, *, width: int) -> None:
+        super().__init__()
+        self.mlp = nn.Sequential(nn.Linear(channels, width), nn.ReLU(), nn.Linear(width, n_domains))
+
+    def forward(self, bottleneck: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch domains"]:
+        """Scores of the domains."""
+        return self.mlp(bottleneck.mean(dim=(2, 3)))
+
+
+class TransformerClassifier(nn.Module):
+    """A transformer over the bottleneck's pixels, then an MLP of its class token (released ``patch_transformer.py``)."""
+
+    def __init__(self, channels: int, n_domains: int, *, width: int) -> None:
+        super().__init__()
+        self.project = nn.Conv2d(channels, width, kernel_size=1)
+        layer = nn.TransformerEncoderLayer(width, nhead=4, dim_feedforward=1024, dropout=0.1, batch_first=True)
+        self.transformer = nn.TransformerEncoder(layer, num_layers=4, enable_nested_tensor=False)
+        self.mlp = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, n_domains))
+
+    def forward(self, bottleneck: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch domains"]:
+        """Scores of the domains."""
+        tokens = self.project(bottleneck).flatten(2).transpose(1, 2)
+        tokens = torch.cat([torch.zeros_like(tokens[:, :1]), tokens], dim=1)  # the class token is not learned
+        tokens = tokens + positional_code(tokens.shape[1], tokens.shape[2], device=tokens.device)
+        return self.mlp(self.transformer(tokens)[:, 0])
+
+
+def positional_code(length: int, width: int, *, device: torch.device | None = None) -> Float[Tensor, "length width"]:
+    """Sines, then cosines, of position * 10000 ** (-2 i / width) (not interleaved, as released)."""
+    rates = torch.exp(torch.arange(0, width, 2, device=device) * (-math.log(10000.0) / width))
+    angles = torch.arange(length, device=device)[:, None] * rates
+    return torch.cat([angles.sin(), angles.cos()], dim=1)
+
+
+CLASSIFIERS = {"mlp": MlpClassifier, "transformer": TransformerClassifier}
+
+
+def build_router(config: RouterConfig, channels: int, n_domains: int) -> nn.Module:
+    """The router of ``n_domains`` heads on a bottleneck of ``channels``; labeled where there is one domain only."""
+    if n_domains == 1 or config.kind == "labeled":
+        return LabeledRouter(n_domains)
+    classifier = CLASSIFIERS[config.classifier](channels, n_domains, width=config.width)
+    return {"trained": TrainedRouter, "auto": AutoRouter}[config.kind](classifier)

@@ -1,0 +1,125 @@
+"""The models of the paper, of the released checkpoints, and of this package, by name. Nothing here imports torch."""
+
+from dataclasses import replace
+
+from zoedepth.config import (
+    INDOOR,
+    OUTDOOR,
+    AttractorConfig,
+    DecoderConfig,
+    EncoderConfig,
+    ModelConfig,
+    RouterConfig,
+)
+
+
+def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
+    return EncoderConfig(name, "beit", size=(side, side), taps=taps, channels=channels)
+
+
+def _swin(name: str, side: int) -> EncoderConfig:
+    return EncoderConfig(name, "swin", size=(side, side))
+
+
+def _convolutional(name: str, side: int) -> EncoderConfig:
+    return EncoderConfig(name, "convolutional", size=(side, side))
+
+
+_LARGE = {"taps": (5, 11, 17, 23), "channels": (256, 512, 1024, 1024)}
+
+ENCODERS: dict[str, EncoderConfig] = {
+    config.name: config
+    for config in (
+        _beit("beit_large_patch16_384", 384, **_LARGE),
+        _beit("beit_large_patch16_512", 512, **_LARGE),
+        _beit("beit_base_patch16_384", 384, taps=(2, 5, 8, 11), channels=(96, 192, 384, 768)),
+        _swin("swin_large_patch4_window12_384", 384),
+        _swin("swinv2_large_window12to24_192to384", 384),
+        _swin("swinv2_base_window12to24_192to384", 384),
+        _swin("swinv2_tiny_window16_256", 256),
+        _convolutional("tf_efficientnet_b5", 456),
+        _convolutional("tf_efficientnet_lite0", 224),
+        _convolutional("tf_efficientnet_lite1", 240),
+        _convolutional("tf_efficientnet_lite2", 260),
+        _convolutional("tf_efficientnet_lite3", 300),
+    )
+}
+"""The encoders of the paper and of MiDaS v3.1, by their timm name (MiDaS ``dpt_depth.py``, ``model_loader.py``)."""
+
+_BEIT_L = ENCODERS["beit_large_patch16_384"]
+
+# A model that we train follows the paper; a model whose weights were released follows the weights. The values in which
+# the two differ are here and in docs/paper.md, and nowhere else.
+_PAPER_N = ModelConfig(_BEIT_L)
+_PAPER_K = ModelConfig(_BEIT_L, domains=(OUTDOOR,), size=(384, 768))
+_PAPER_NK = ModelConfig(_BEIT_L, domains=(INDOOR, OUTDOOR))
+_PAPER_NK_ONE_HEAD = ModelConfig(_BEIT_L, domains=(replace(OUTDOOR, name="any"),))
+
+_RELEASED_N = replace(_PAPER_N, head=AttractorConfig(reduce="mean"))
+_RELEASED_K = replace(_PAPER_K, head=AttractorConfig(reduce="mean", centers="normed", attractor_ratio=False))
+_RELEASED_NK = replace(
+    _PAPER_NK,
+    head=AttractorConfig(
+        n_attractors=(16, 16, 16, 16),
+        reduce="mean",
+        relative_input=False,
+        bottleneck_factor=4,
+        projector_width=64,
+        seed_width=64,
+    ),
+    router=RouterConfig("trained", classifier="transformer"),
+)
+
+
+def _with_encoder(config: ModelConfig, name: str) -> ModelConfig:
+    encoder = ENCODERS[name]
+    return replace(config, encoder=encoder, size=encoder.size if encoder.family == "swin" else config.size)
+
+
+ZOED_LITE = ModelConfig(
+    ENCODERS["tf_efficientnet_lite0"],
+    decoder=DecoderConfig(widths=(48, 96, 128, 160), features=32, output_stride=2),
+    head=AttractorConfig(
+        n_bins=32,
+        reduce="mean",
+        alpha=1.0,
+        initial_centers="geometric",
+        bottleneck_factor=4,
+        embedding_width=32,
+        projector_width=32,
+        seed_width=128,
+    ),
+    domains=(INDOOR, OUTDOOR),
+    size=(256, 352),
+    antialias=True,
+)
+"""The paper's future "mobile architecture": the model shipped in the package."""
+
+PRESETS: dict[str, ModelConfig] = {
+    # The twelve models of the paper's model table (appendix): ZoeD-{relative pre-training}-{metric fine-tuning}. The
+    # three released ones carry the released values.
+    "zoed-x-n": _PAPER_N,
+    "zoed-n-n": _PAPER_N,
+    "zoed-nk-n": _PAPER_N,
+    "zoed-m12-n": _RELEASED_N,
+    "zoed-x-k": _PAPER_K,
+    "zoed-k-k": _PAPER_K,
+    "zoed-nk-k": _PAPER_K,
+    "zoed-m12-k": _RELEASED_K,
+    "zoed-nk-nk-one-head": _PAPER_NK_ONE_HEAD,
+    "zoed-m12-nk-one-head": _PAPER_NK_ONE_HEAD,
+    "zoed-nk-nk": _PAPER_NK,
+    "zoed-m12-nk": _RELEASED_NK,
+    # Its discussion of pre-training names one more.
+    "zoed-x-nk": _PAPER_NK,
+    # Its backbone ablation.
+    "zoed-m12-n-swin-l": _with_encoder(_PAPER_N, "swin_large_patch4_window12_384"),
+    "zoed-m12-n-swin2-t": _with_encoder(_PAPER_N, "swinv2_tiny_window16_256"),
+    "zoed-m12-n-swin2-b": _with_encoder(_PAPER_N, "swinv2_base_window12to24_192to384"),
+    "zoed-m12-n-swin2-l": _with_encoder(_PAPER_N, "swinv2_large_window12to24_192to384"),
+    "zoed-m12-n-beit-b": _with_encoder(_PAPER_N, "beit_base_patch16_384"),
+    "zoed-m12-n-beit-l-512": _with_encoder(_PAPER_N, "beit_large_patch16_512"),
+    "zoed-m12-n-efficientnet-b5": _with_encoder(_PAPER_N, "tf_efficientnet_b5"),
+    "zoed-lite": ZOED_LITE,
+}
+"""Name → architecture. ``pretrained.py`` knows which of them have weights, and where."""

@@ -1,0 +1,43 @@
+"""``zoed-lite``, the model shipped in the package."""
+
+from dataclasses import replace
+
+from zoedepth.presets import ZOED_LITE
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+
+_INDOOR = SourceConfig(
+    "indoor",
+    weight=3,
+    crop="fit",
+    max_zoom=1.5,
+    rotate_degrees=4.0,
+    color_probability=0.8,
+    gamma=(0.8, 1.25),
+    brightness=(0.6, 1.4),
+    saturation=(0.4, 1.4),
+)
+_OUTDOOR = replace(_INDOOR, name="outdoor", weight=1, kitti_crop=True, max_zoom=1.25, rotate_degrees=1.0)
+
+
+def relative() -> TrainConfig:
+    """Stage 1."""
+    return TrainConfig(
+        stage="relative",
+        model=ZOED_LITE,
+        sources=(_INDOOR, _OUTDOOR, replace(_INDOOR, name="relative", weight=1)),
+        steps=250,
+        optim=OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
+    )
+
+
+def metric() -> TrainConfig:
+    """Stage 2."""
+    return TrainConfig(
+        stage="metric",
+        model=ZOED_LITE,
+        sources=(_INDOOR, _OUTDOOR),
+        steps=1500,
+        optim=OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
+        domain_weight=1.0,
+        ema_decay=0.995,
+    )

@@ -1,0 +1,1 @@
+"""The two stages of training: relative depth (``relative.py``), then metric depth (``metric.py``)."""

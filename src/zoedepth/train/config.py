@@ -1,0 +1,113 @@
+"""The configuration of a training run: frozen dataclasses, every field of which the command line can override."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from zoedepth.config import ModelConfig
+from zoedepth.errors import InputError
+
+
+@dataclass(frozen=True)
+class SourceConfig:
+    """How the samples of one data set are drawn and augmented."""
+
+    name: str
+    """The NAME in ``--data NAME=PATH``."""
+    weight: int = 1
+    """Its turns in a round of the mixture."""
+    crop: Literal["squeeze", "fit"] = "squeeze"
+    """squeeze: the whole photo, its shape ignored (released). fit: a window of the network's shape."""
+    max_zoom: float = 1.0
+    """fit only: windows are up to this many times smaller than the photo, and depth that many times nearer."""
+    kitti_crop: bool = False
+    """First take the bottom centre 352x1216 of the photo."""
+    rotate_degrees: float = 1.0
+    """Largest rotation, either way."""
+    color_probability: float = 0.5
+    """Share of the samples whose colours are changed."""
+    gamma: tuple[float, float] = (0.9, 1.1)
+    """Range of the gamma."""
+    brightness: tuple[float, float] = (0.75, 1.25)
+    """Range of the brightness factor."""
+    channel_gain: tuple[float, float] = (0.9, 1.1)
+    """Range of the factor of each colour channel."""
+    saturation: tuple[float, float] = (1.0, 1.0)
+    """Range of the saturation; 0 is grey."""
+    gradient_weight: float = 0.5
+    """Stage 1 only: weight of the gradient term; 0 for sparse depth, which has few neighbours."""
+
+
+@dataclass(frozen=True)
+class OptimConfig:
+    """AdamW with one-cycle rates (paper; released ``config_zoedepth.json``)."""
+
+    learning_rate: float = 1.61e-4
+    """Highest rate, that of the metric heads and the router."""
+    encoder_factor: float = 0.1
+    """The encoder's rate, as a factor of it. 0 freezes the encoder."""
+    position_factor: float = 0.1
+    """The rate of the relative position tables, as a factor of it."""
+    decoder_factor: float = 1.0
+    """The decoder's rate, as a factor of it. 0 freezes the decoder."""
+    weight_decay: float = 0.01
+    """AdamW's decay of all weights."""
+    warmup: float = 0.7
+    """Share of the steps before the rates fall."""
+    initial_division: float = 1.0
+    """The first rate is the highest divided by this."""
+    final_division: float = 1e4
+    """The last rate is the first divided by this."""
+    momentum: tuple[float, float] = (0.85, 0.95)
+    """AdamW's first beta: lowest where the rate is highest, and the other way round."""
+    clip: float = 0.1
+    """Largest norm of all gradients together."""
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One run of one stage."""
+
+    stage: Literal["relative", "metric"]
+    """relative: encoder and decoder on disparity. metric: the whole model on depth in metres."""
+    model: ModelConfig
+    """The network."""
+    sources: tuple[SourceConfig, ...]
+    """The data sets it can be trained on; those given with ``--data`` are used."""
+    steps: int
+    """Optimizer steps."""
+    batch_size: int = 16
+    """Samples a step, of all processes together."""
+    optim: OptimConfig = field(default_factory=OptimConfig)
+    """Rates and their schedule."""
+    mix_by: Literal["image", "batch"] = "image"
+    """Data sets take turns image by image, or batch by batch (released)."""
+    domain_weight: float = 100.0
+    """metric: weight of the router's cross-entropy."""
+    route_by_label: bool = True
+    """metric: while training, images take the head of their label; False: the router's choice (released)."""
+    trim: float = 0.2
+    """relative: share of the largest residuals of an image that is ignored."""
+    freeze_batch_norm: bool = True
+    """Keep the statistics of the encoder's batch norms as pre-trained (released)."""
+    ema_decay: float | None = None
+    """Keep, save and validate an exponential moving average of the weights with this decay."""
+    precision: Literal["bf16-mixed", "16-mixed", "32-true"] = "bf16-mixed"
+    """Autocast of the forward; the losses and the weights are float32."""
+    holdout: int = 0
+    """The last pairs of each data set, this many, are not trained on but validated on."""
+    validate_every: int = 500
+    """Steps between validations."""
+    checkpoint_every: int = 250
+    """Steps between checkpoints; the last one is always written."""
+    log_every: int = 10
+    """Steps between lines of the log."""
+    n_workers: int = 2
+    """Processes that read and augment samples."""
+    seed: int = 43
+    """Of the initial weights, the order of the data and the augmentations."""
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch_size < 1:
+            raise InputError(f"steps and batch_size must be >= 1; they are {self.steps} and {self.batch_size}")
+        if self.mix_by == "batch" and self.stage == "relative" and len(self.sources) > 1:
+            raise InputError("stage 1 needs all data sets in each batch: mix_by must be 'image'")

@@ -1,0 +1,72 @@
+"""Rates: parameter groups and the one-cycle schedule, as a pure function of the step."""
+
+import math
+
+import torch
+from torch import nn
+from torch.optim import AdamW
+
+from zoedepth.train.config import OptimConfig
+
+
+def build_optimizer(model: nn.Module, config: OptimConfig) -> AdamW:
+    """AdamW with a group each for encoder, position tables, decoder, and everything else (heads, router).
+
+    A group's rate is ``config.learning_rate`` times its factor, kept as ``factor`` in the group; a group of factor 0 is
+    frozen. The reassembling part of the decoder goes with the encoder, as released.
+    """
+    factors = {
+        "encoder": config.encoder_factor,
+        "position": config.position_factor,
+        "decoder": config.decoder_factor,
+        "head": 1.0,
+    }
+    groups: dict[str, list[nn.Parameter]] = {name: [] for name in factors}
+    for name, parameter in model.named_parameters():
+        group = _group(name)
+        if factors[group] == 0:
+            parameter.requires_grad_(False)
+        elif parameter.requires_grad:
+            groups[group].append(parameter)
+    return AdamW(
+        [
+            {"params": parameters, "lr": config.learning_rate * factors[name], "factor": factors[name], "name": name}
+            for name, parameters in groups.items()
+            if parameters
+        ],
+        betas=(config.momentum[1], 0.999),
+        weight_decay=config.weight_decay,
+    )
+
+
+def _group(name: str) -> str:
+    if "position_tables" in name or "relative_position" in name:
+        return "position"
+    if name.startswith(("encoder.", "decoder.reassemble.")):
+        return "encoder"
+    return "decoder" if name.startswith("decoder.") else "head"
+
+
+def one_cycle(step: int, steps: int, config: OptimConfig) -> tuple[float, float]:
+    """(rate as a factor of the highest, first beta) at a step: torch's ``OneCycleLR`` with cosine annealing."""
+    first, last = 1 / config.initial_division, 1 / (config.initial_division * config.final_division)
+    low, high = config.momentum
+    peak = config.warmup * steps - 1
+    if step <= peak:
+        progress = step / peak if peak > 0 else 1.0
+        return _anneal(first, 1.0, progress), _anneal(high, low, progress)
+    progress = (step - peak) / (steps - 1 - peak)
+    return _anneal(1.0, last, progress), _anneal(low, high, progress)
+
+
+def set_rates(optimizer: torch.optim.Optimizer, step: int, steps: int, config: OptimConfig) -> None:
+    """Give every group its rate and momentum of this step."""
+    factor, beta = one_cycle(step, steps, config)
+    for group in optimizer.param_groups:
+        group["lr"] = config.learning_rate * group["factor"] * factor
+        group["betas"] = (beta, group["betas"][1])
+
+
+def _anneal(start: float, end: float, progress: float) -> float:
+    """From start to end along half a cosine."""
+    return end + (start - end) / 2 * (1 + math.cos(math.pi * progress))

