@@ -1,6 +1,6 @@
 """Depth as a picture: colour tables, a bar that says the metres, and the photo beside its depth.
 
-The tables are matplotlib's, 256 colours each, baked into `assets/colormaps.npz` so that matplotlib is not needed:
+The tables are matplotlib's, 256 colours each, baked into ``assets/colormaps.npz`` so that matplotlib is not needed:
 magma (S. van der Walt and N. Smith, CC0), Spectral (C. Brewer's ColorBrewer, Apache 2.0), turbo (A. Mikhailov, Google,
 Apache 2.0).
 """
@@ -17,7 +17,7 @@ from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
 
 COLORMAPS = ("magma", "turbo", "gray", "Spectral")
-"""Names of the colour tables; each also exists reversed, with `_r` at its end."""
+"""Names of the colour tables; each also exists reversed, with ``_r`` at its end."""
 
 INVALID_COLOR = (128, 128, 128)
 _PAPER, _INK = (255, 255, 255), (20, 20, 20)
@@ -31,14 +31,14 @@ def colorize(
     percentiles: tuple[float, float] = (2, 85),
     colormap: str = "magma_r",
 ) -> ImageArray:
-    """Colour a depth map: uint8 (height, width, 3), `vmin` and nearer is the table's first colour, `vmax` its last.
+    """Colour a depth map: uint8 (height, width, 3), ``vmin`` and nearer is the table's first colour, ``vmax`` its last.
 
     Args:
         depth: (height, width), metres. Non-finite or non-positive is invalid, and grey in the picture.
         vmin: depth of the first colour; None takes the lower percentile. Fix both to compare pictures.
         vmax: depth of the last colour; None takes the upper percentile.
         percentiles: of the valid depths; (2, 85) is what ZoeDepth was published with.
-        colormap: one of `COLORMAPS`, reversed with `_r` at its end.
+        colormap: one of ``COLORMAPS``, reversed with ``_r`` at its end.
 
     Raises:
         InputError: unknown colour map.
@@ -75,13 +75,13 @@ def depth_range(
 
 
 def color_bar(height: int, *, vmin: float, vmax: float, colormap: str = "magma_r", unit: str = "m") -> ImageArray:
-    """A vertical bar from `vmin` (bottom) to `vmax` (top) with ticks at round numbers, e.g. "2.5 m".
+    """A vertical bar from ``vmin`` (bottom) to ``vmax`` (top) with ticks at round numbers, e.g. "2.5 m".
 
     Args:
         height: of the bar, pixels; below 60 the labels have no room and 60 is taken.
         vmin: value of the first colour.
         vmax: value of the last colour, above vmin.
-        colormap: see `colorize`.
+        colormap: see ``colorize``.
         unit: written after each number.
     """
     height = max(height, 60)
@@ -108,7 +108,7 @@ def color_bar(height: int, *, vmin: float, vmax: float, colormap: str = "magma_r
 def panel(
     image: ImageArray, *, size: tuple[int, int] | None = None, bar: ImageArray | None = None, caption: str = ""
 ) -> ImageArray:
-    """One picture of a sheet: resized to `size` (height, width), with a bar to its right and a caption above."""
+    """One picture of a sheet: resized to ``size`` (height, width), with a bar to its right and a caption above."""
     height, width = size or image.shape[:2]
     picture = Image.fromarray(image)
     if size and size != image.shape[:2]:
@@ -157,10 +157,10 @@ def preview(
     Args:
         image: uint8 (height, width, 3), RGB.
         depth: (height, width), metres.
-        vmin: depth of the first colour, see `colorize`.
+        vmin: depth of the first colour, see ``colorize``.
         vmax: depth of the last colour.
-        percentiles: wider than `colorize`'s, so that the bar covers nearly everything in the picture.
-        colormap: see `colorize`.
+        percentiles: wider than ``colorize``'s, so that the bar covers nearly everything in the picture.
+        colormap: see ``colorize``.
         max_side: the longer side of each of the two pictures; small photos are enlarged to at least 320.
     """
     vmin, vmax = depth_range(depth, vmin=vmin, vmax=vmax, percentiles=percentiles)
@@ -184,7 +184,7 @@ def _font_size(height: int) -> int:
 
 
 def _ticks(vmin: float, vmax: float, *, count: int) -> np.ndarray:
-    """About `count` round numbers in [vmin, vmax], multiples of 1, 2 or 5 times a power of ten; at least one number."""
+    """About ``count`` round numbers in [vmin, vmax], multiples of 1, 2 or 5 times a power of ten; at least one."""
     span = vmax - vmin
     power = 10.0 ** np.floor(np.log10(span / count))
     for step in (power, 2 * power, 5 * power, 10 * power):

@@ -191,19 +191,9 @@ def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: s
 
 def _build(kind: Any, value: Any, where: str) -> Any:
     """``value``, from JSON, as the annotated type ``kind``."""
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return _build_dataclass(kind, value, where)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if dataclasses.is_dataclass(kind) and isinstance(kind, type):
-        if not isinstance(value, dict):
-            raise InputError(f"{where} must be an object with the fields of {kind.__name__}, not {value!r}")
-        known = {item.name: item for item in dataclasses.fields(kind)}
-        if unknown := sorted(set(value) - set(known)):
-            raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")
-        hints = typing.get_type_hints(kind)
-        built = {name: _build(hints[name], item, f"{where}.{name}") for name, item in value.items()}
-        try:
-            return kind(**built)
-        except TypeError as error:
-            raise InputError(f"{where}: {error}") from error
     if origin is tuple:
         if not isinstance(value, list | tuple):
             raise InputError(f"{where} must be a list, not {value!r}")
@@ -221,6 +211,20 @@ def _build(kind: Any, value: Any, where: str) -> Any:
         return _build(next(k for k in arguments if k is not type(None)), value, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):  # a bool is an int to Python
         raise InputError(f"{where} must be {kind.__name__}, not {value!r}")
     return value
+
+
+def _build_dataclass(kind: Any, value: Any, where: str) -> Any:
+    if not isinstance(value, dict):
+        raise InputError(f"{where} must be an object with the fields of {kind.__name__}, not {value!r}")
+    known = {item.name: item for item in dataclasses.fields(kind)}
+    if unknown := sorted(set(value) - set(known)):
+        raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")
+    hints = typing.get_type_hints(kind)
+    built = {name: _build(hints[name], item, f"{where}.{name}") for name, item in value.items()}
+    try:
+        return kind(**built)
+    except TypeError as error:
+        raise InputError(f"{where}: {error}") from error

@@ -15,7 +15,7 @@ class MissingExtraError(ZoeDepthError, ImportError):
     """A feature needs an optional dependency that is not installed.
 
     Args:
-        extra: name of the extra in `pyproject.toml`, e.g. "demo".
+        extra: name of the extra in ``pyproject.toml``, e.g. "demo".
         feature: what the user asked for, as the subject of a sentence, e.g. "zoedepth demo".
     """
 
@@ -25,5 +25,5 @@ class MissingExtraError(ZoeDepthError, ImportError):
         self.feature = feature
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        # Exceptions are rebuilt from `args` (the message) when they cross a process border; this one takes two.
+        # Exceptions are rebuilt from ``args`` (the message) when they cross a process border; this one takes two.
         return type(self), (self.extra, self.feature)

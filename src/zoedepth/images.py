@@ -1,6 +1,6 @@
 """Files and arrays in, files out: photographs to uint8 arrays, depth maps to files that say their unit.
 
-Everything that enters the package becomes one thing, an `image`: uint8, (height, width, 3), RGB, upright. Everything
+Everything that enters the package becomes one thing, an ``image``: uint8, (height, width, 3), RGB, upright. Everything
 that leaves it is written whole or not at all.
 """
 
@@ -28,7 +28,7 @@ IMAGE_SUFFIXES = frozenset(
 """Suffixes (lower case) by which a photograph is recognised in a folder."""
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
-"""Suffixes that `write_image` writes."""
+"""Suffixes that ``write_image`` writes."""
 
 MAX_PIXELS = 178_956_970
 """The largest picture that is decoded: where Pillow itself refuses, about 180 megapixels or 0.5 GB of RGB."""
@@ -75,7 +75,7 @@ def to_image(source: Any) -> ImageArray:
     """Turn whatever holds a picture into an image: uint8 (height, width, 3), RGB, [0, 255].
 
     Args:
-        source: a path or open file (see `read_image`); a `PIL.Image.Image`; a numpy array (H, W) or (H, W, 1|3|4),
+        source: a path or open file (see ``read_image``); a ``PIL.Image.Image``; a numpy array (H, W) or (H, W, 1|3|4),
             RGB, uint8, uint16 (0..65535) or float in [0, 1]; a torch tensor (H, W) or (1|3|4, H, W) of the same types.
             Floats are rounded to 8 bits, so that one photograph gives one depth whichever way it comes in.
 
@@ -110,7 +110,7 @@ def write_image(path: str | Path, image: ImageArray) -> None:
 
 
 def png_scale(depth: np.ndarray) -> float:
-    """The scale at which `depth` (metres) fits a 16-bit PNG: 1000 (millimetres) up to 65.535 m, else 256 (KITTI's)."""
+    """Levels per metre at which ``depth`` fits a 16-bit PNG: 1000 (millimetres) up to 65.535 m, else 256 (KITTI's)."""
     valid = depth[np.isfinite(depth)]
     fits = valid.size == 0 or valid.max() * PNG_SCALE_MILLIMETRE <= PNG_MAX
     return PNG_SCALE_MILLIMETRE if fits else PNG_SCALE_KITTI
@@ -120,7 +120,7 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
     """Write metres as a 16-bit grey PNG: value = round(depth * scale), 0 = no depth.
 
     Too far is clipped to 65535, never wrapped; too near to 1, so that a valid pixel stays valid. Non-finite and
-    non-positive depth becomes 0. The text chunks `DepthScale` and `DepthUnit` say how to read the file back.
+    non-positive depth becomes 0. The text chunks ``DepthScale`` and ``DepthUnit`` say how to read the file back.
 
     Args:
         path: where to write; folders are made.
@@ -151,13 +151,13 @@ def write_depth(
     scale: float = PNG_SCALE_MILLIMETRE,
     beside: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Write metres in the format of the suffix: .png (16 bits, see `write_depth_png`), .npy or .npz (float32).
+    """Write metres in the format of the suffix: .png (16 bits, see ``write_depth_png``), .npy or .npz (float32).
 
     Args:
         path: where to write; folders are made.
         depth: (height, width), metres.
         scale: PNG levels per metre; the other formats hold metres.
-        beside: arrays kept under their names beside `depth`, in .npz only.
+        beside: arrays kept under their names beside ``depth``, in .npz only.
 
     Raises:
         InputError: another suffix, or depth that is not two-dimensional.
@@ -173,15 +173,16 @@ def write_depth(
         if suffix == ".npy":
             np.save(temporary, depth)
         else:
-            np.savez_compressed(temporary, depth=depth, **(beside or {}))
+            arrays: dict[str, Any] = {"depth": depth, **(beside or {})}
+            np.savez_compressed(temporary, **arrays)
 
 
 def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     """Read a depth map, float32 (height, width) in metres; 0 = no depth.
 
     Args:
-        path: a 16-bit PNG, an .npy, or an .npz with an array called `depth`.
-        scale: PNG levels per metre; None takes the number that `write_depth_png` left in the file.
+        path: a 16-bit PNG, an .npy, or an .npz with an array called ``depth``.
+        scale: PNG levels per metre; None takes the number that ``write_depth_png`` left in the file.
 
     Raises:
         InputError: missing or broken file, not one 16-bit channel, or a PNG whose scale nobody knows.
@@ -205,7 +206,7 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path to write to; it becomes `path` when the block ends well, and vanishes when it does not.
+    """Give a temporary path to write to; it becomes ``path`` when the block ends well, and vanishes when it does not.
 
     The temporary file is in the same folder (made if need be), because only there is the renaming one step, and has
     the same suffix, because writers choose the format by it.
@@ -270,7 +271,7 @@ def _from_pil(picture: Image.Image, name: str) -> ImageArray:
         if picture.mode != "F" and not picture.mode.startswith("I"):
             picture = picture.convert("RGB")
         values = np.asarray(picture)
-    except Exception as error:  # see `_open`
+    except Exception as error:  # see ``_open``
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
     if values.dtype.kind == "i":  # mode "I" is how some decoders hand out 16 bits
         if values.size and (values.min() < 0 or values.max() > PNG_MAX):

@@ -48,7 +48,7 @@ def scale_and_shift_invariant(
 ) -> Float[Tensor, ""]:
     """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, mean over images.
 
-    Both maps of an image are first freed of scale and shift by :func:`normalize_robust`. (Ranftl et al. 2020, Eqs. 5-11.)
+    Both maps of an image are first freed of scale and shift by :func:`normalize_robust`. (Ranftl et al. 2020.)
 
     Args:
         prediction: relative depth (inverse depth up to scale and shift).

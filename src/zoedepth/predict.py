@@ -262,7 +262,9 @@ class _Estimate(NamedTuple):
 
     def of(self, row: int) -> "_Estimate":
         """One photo's part."""
-        return _Estimate(*(None if x is None else x[row : row + 1] for x in self))
+        one = slice(row, row + 1)
+        logits = None if self.logits is None else self.logits[one]
+        return _Estimate(self.depth[one], self.variance[one], self.domain[one], logits)
 
 
 def _device(name: str | torch.device) -> torch.device:

@@ -98,7 +98,8 @@ def _load_strictly(model: ZoeDepth, weights: dict[str, torch.Tensor], path: Path
         for name in expected.keys() & found.keys()
         if found[name] != expected[name]
     ]
-    problems += [f"{name} has values that are not finite" for name, value in weights.items() if not value.isfinite().all()]
+    broken = [name for name, value in weights.items() if not value.isfinite().all()]
+    problems += [f"{name} has values that are not finite" for name in broken]
     if problems:
         shown = "; ".join(sorted(problems)[:8]) + ("; ..." if len(problems) > 8 else "")
         raise InputError(f"the weights in {path} do not fit their config ({len(problems)} problems): {shown}")

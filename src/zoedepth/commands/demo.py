@@ -91,8 +91,8 @@ def _error_table(depth: DepthArray, truth: DepthArray) -> Table:
     known = truth > 0
     predicted, measured = depth[known], truth[known]
     factor = float(np.median(measured) / np.median(predicted))
-    table = Table(title=f"motorcycle: error at its {known.sum():,} measured pixels")
-    for heading in ("depth", "REL", "RMSE", "delta1", "median predicted / measured"):
+    table = Table(title=f"motorcycle: predicted against measured depth, {known.sum():,} pixels")
+    for heading in ("depth", "REL", "RMSE", "delta1", "median ratio"):
         table.add_column(heading, justify="left" if heading == "depth" else "right")
     for label, scaled in (("in metres, as predicted", predicted), (f"times {factor:.2f}", predicted * factor)):
         metrics = compute_metrics(scaled, measured)
@@ -106,8 +106,8 @@ def _focal_note(width: int) -> str:
     nyu_view = 2 * math.degrees(math.atan(NYU_WIDTH / 2 / NYU_FOCAL_PX))
     expected = (NYU_FOCAL_PX / NYU_WIDTH) / (FOCAL_PX / width)
     return (
-        f"The model does not know the focal length. This photo spans {view:.0f} degrees, those of NYU {nyu_view:.0f}: a "
-        f"perfect model of NYU's camera would take the longer lens for nearness and predict {expected:.2f} of the depth."
+        f"The model does not know the focal length. This photo spans {view:.0f} degrees, NYU's {nyu_view:.0f}: a "
+        f"perfect model of that camera would take the longer lens for nearness and predict {expected:.2f} of the depth."
     )
 
 

@@ -4,7 +4,9 @@ import json
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from zoedepth.commands.data import named_paths
 
@@ -16,7 +18,7 @@ def evaluate(
     crop: Literal["auto", "none", "eigen", "garg"] = "auto",
     max_depth: float | None = None,
     flip: bool = True,
-    json_: bool = False,
+    json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Score a model on photos with known depth.
 

@@ -33,7 +33,7 @@ class Run:
 def train(arguments: Sequence[str]) -> int:
     """Train a recipe; what stands in --out is gone on with."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: zoedepth train RECIPE --data NAME=PATH ... --out DIR [--start WEIGHTS] [--config.FIELD VALUE ...]")
+        print("usage: zoedepth train RECIPE --data NAME=PATH ... --out DIR [--start WEIGHTS] [--config.FIELD VALUE]")
         print(f"\nrecipes: {', '.join(RECIPES)}     (zoedepth train RECIPE --help for all fields)")
         return 0 if arguments else 2
     name, *rest = arguments

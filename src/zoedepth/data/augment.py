@@ -24,7 +24,9 @@ def augment(sample: Sample, augmentations: Sequence[Augmentation], rng: np.rando
     return sample
 
 
-def fit_crop(size: tuple[int, int], *, max_zoom: float = 1.0, scale_depth: bool = True) -> Augmentation:
+def fit_crop(
+    size: tuple[int, int], *, max_zoom: float = 1.0, probability: float = 1.0, scale_depth: bool = True
+) -> Augmentation:
     """A window of the photo, of the shape of ``size``, resized to it.
 
     Without zoom the window is the largest that fits: the scale is the one at which the whole photo would be seen by the
@@ -34,15 +36,17 @@ def fit_crop(size: tuple[int, int], *, max_zoom: float = 1.0, scale_depth: bool 
     Args:
         size: (height, width) of the result.
         max_zoom: z is drawn log-uniformly from 1 to this.
+        probability: share of the samples that are zoomed; the others have z = 1.
         scale_depth: divide depth by z. False is a change of focal length instead.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
-        zoom = math.exp(rng.uniform(0, math.log(max_zoom))) if max_zoom > 1 else 1.0
+        zoomed = max_zoom > 1 and rng.random() < probability
+        zoom = math.exp(rng.uniform(0, math.log(max_zoom))) if zoomed else 1.0
         height, width = sample.image.shape[-2:]
         scale = max(size[0] / height, size[1] / width) * zoom
         window = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
-        top, left = (int(rng.integers(0, whole - part + 1)) for whole, part in zip((height, width), window, strict=True))
+        top, left = int(rng.integers(0, height - window[0] + 1)), int(rng.integers(0, width - window[1] + 1))
         return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0)
 
     return apply
@@ -52,7 +56,8 @@ def squeeze(size: tuple[int, int]) -> Augmentation:
     """The whole photo resized to ``size``, whatever its shape (the released training)."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
-        return _resized_window(sample, 0, 0, tuple(sample.image.shape[-2:]), size, 1.0)
+        height, width = sample.image.shape[-2:]
+        return _resized_window(sample, 0, 0, (height, width), size, 1.0)
 
     return apply
 
@@ -80,7 +85,7 @@ def flip(*, probability: float = 0.5) -> Augmentation:
 
 
 def rotate(*, degrees: float = 1.0) -> Augmentation:
-    """Turn about the centre by an angle drawn from +-``degrees``; corners that come from outside are black and unknown."""
+    """Turn about the centre by an angle drawn from +-``degrees``; corners from outside are black and unknown."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         angle = math.radians(rng.uniform(-degrees, degrees))
@@ -157,4 +162,5 @@ def _resized_window(
     # Nearest: the mean of a near and a far depth is a depth of nothing.
     target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
     mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
-    return replace(sample, image=image.clamp(0, 1), target=target / zoom if sample.kind == "depth" else target, mask=mask)
+    target = target / zoom if sample.kind == "depth" else target
+    return replace(sample, image=image.clamp(0, 1), target=target, mask=mask)

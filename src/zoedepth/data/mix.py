@@ -4,15 +4,14 @@ Everything is a function of (seed, position). So a resumed run reads what an uni
 workers gives the same samples, and processes share the stream by taking every n-th position.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from torch.utils.data import Dataset
+from torch.utils.data import Dataset, Sampler
 
 from zoedepth.data.augment import Augmentation, augment
-from zoedepth.data.sample import Sample
+from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
 
 
@@ -20,7 +19,7 @@ from zoedepth.errors import InputError
 class Source:
     """A data set in a mixture."""
 
-    dataset: Dataset[Sample]
+    dataset: Samples
     augmentations: Sequence[Augmentation]
     weight: int = 1
     """Its turns in a round."""
@@ -51,8 +50,8 @@ class Mixture(Dataset[Sample]):
         source = self.sources[index]
         turns_before = number * source.weight + self._round[:place].count(index)
         count = turns_before * self.turn + within
-        epoch, rank = divmod(count, len(source.dataset))  # type: ignore[arg-type]  # Dataset has no __len__ in its type
-        order = np.random.default_rng((self.seed, index, epoch)).permutation(len(source.dataset))  # type: ignore[arg-type]
+        epoch, rank = divmod(count, len(source.dataset))
+        order = np.random.default_rng((self.seed, index, epoch)).permutation(len(source.dataset))
         return index, int(order[rank]), epoch
 
     def __getitem__(self, position: int) -> Sample:
@@ -63,7 +62,7 @@ class Mixture(Dataset[Sample]):
         return augment(source.dataset[item], source.augmentations, rng)
 
 
-class Positions:
+class Positions(Sampler[list[int]]):
     """The batches of positions that one of several processes reads, from a step on.
 
     Args:
@@ -72,7 +71,9 @@ class Positions:
         rank, n_processes: which of the processes this is.
     """
 
-    def __init__(self, first_step: int, last_step: int, *, batch_size: int, rank: int = 0, n_processes: int = 1) -> None:
+    def __init__(
+        self, first_step: int, last_step: int, *, batch_size: int, rank: int = 0, n_processes: int = 1
+    ) -> None:
         if batch_size % n_processes:
             raise InputError(f"the batch of {batch_size} cannot be shared equally by {n_processes} processes")
         self.steps = range(first_step, last_step)
@@ -83,7 +84,7 @@ class Positions:
     def __len__(self) -> int:
         return len(self.steps)
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[list[int]]:
         for step in self.steps:
             start = step * self.batch_size
             yield list(range(start + self.rank, start + self.batch_size, self.n_processes))
@@ -95,6 +96,3 @@ def _interleave(weights: Sequence[int]) -> list[int]:
         raise InputError(f"weights of data sets must be >= 1; they are {list(weights)}")
     turns = [((place + 0.5) / weight, index) for index, weight in enumerate(weights) for place in range(weight)]
     return [index for _, index in sorted(turns)]
-
-
-MixBy = Literal["image", "batch"]

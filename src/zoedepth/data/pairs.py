@@ -6,8 +6,8 @@ One line a pair, paths relative to the CSV file::
     image/0001.jpg,depth/0001.png,1000,indoor
 
 ``depth`` is a 16-bit PNG, metres = value / ``depth_scale``, 0 where unknown. ``disparity`` in its place is an 8- or
-16-bit PNG of inverse depth up to an unknown scale and shift, for stage 1, where the domain may be left out. Other columns are left
-alone.
+16-bit PNG of inverse depth up to an unknown scale and shift, for stage 1, where the domain may be left out. Other
+columns are left alone.
 """
 
 import csv
@@ -51,7 +51,8 @@ class PairDataset(Dataset[Sample]):
         path = Path(path)
         self.path = path / f"{split}.csv" if path.is_dir() else path
         if not self.path.is_file():
-            raise InputError(f"there is no {self.path}; give a CSV file with the columns image,depth,depth_scale,domain")
+            columns = "image,depth,depth_scale,domain"
+            raise InputError(f"there is no {self.path}; give a CSV file with the columns {columns}")
         with self.path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         self.pairs = [_parse(row, self.path, line) for line, row in enumerate(rows, start=2)]

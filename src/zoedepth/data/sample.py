@@ -1,7 +1,7 @@
 """One training example, and many of them as a batch."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -29,6 +29,14 @@ class Sample:
     """Scene type: "indoor", "outdoor" or your own."""
     name: str
     """The image's path as the data set lists it."""
+
+
+class Samples(Protocol):
+    """A data set: samples by number."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int, /) -> Sample: ...
 
 
 class Batch(NamedTuple):

@@ -18,7 +18,7 @@ from zoedepth.heads.probability import LogBinomial, Softmax, expected_depth
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
 
 _EPS = 1e-3
-"""Added to normed widths and attractors, so that no bin is empty (released ``attractor.py``, ``localbins_layers.py``)."""
+"""Added to normed widths and attractors, so that no bin is empty (released ``attractor.py``)."""
 
 
 class BinEmbeddings(NamedTuple):
@@ -117,7 +117,9 @@ class AttractorLayer(nn.Module):
         self.normed = normed
         self.ratio = ratio
 
-    def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch attractors height width"]:
+    def forward(
+        self, x: Float[Tensor, "batch channels height width"]
+    ) -> Float[Tensor, "batch attractors height width"]:
         """Attractor points, float32."""
         points = self.mlp(x).float()
         if not self.normed:

@@ -66,6 +66,7 @@ class LogBinomial(nn.Module):
         self.mlp = nn.Sequential(nn.Conv2d(channels, hidden, 1), nn.GELU(), nn.Conv2d(hidden, 4, 1), nn.Softplus())
         self.min_temperature = min_temperature
         self.max_temperature = max_temperature
+        self.coefficients: Tensor
         self.register_buffer("coefficients", log_binomial_coefficients(n_bins), persistent=False)
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch bins height width"]:

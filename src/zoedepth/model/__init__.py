@@ -1,1 +1,1 @@
-"""The network of the paper's Fig. 2: encoder, decoder, router, and ``ZoeDepth`` that joins them with the metric heads."""
+"""The network of the paper's Fig. 2: encoder, decoder, router, and ``ZoeDepth``, which joins them with the heads."""

@@ -1,5 +1,7 @@
 """BEiT at any input size: timm's blocks, with the relative position tables resized to the input (MiDaS v3.1)."""
 
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
@@ -22,9 +24,9 @@ class BeitNetwork(nn.Module):
         import timm
 
         super().__init__()
-        overrides = {"embed_dim": config.width, "depth": config.depth and config.depth[0],
+        overrides: dict[str, Any] = {"embed_dim": config.width, "depth": config.depth and config.depth[0],
                      "num_heads": config.heads and config.heads[0]}  # fmt: skip
-        network = timm.create_model(
+        network: Any = timm.create_model(
             config.name,
             pretrained=False,
             num_classes=0,
@@ -36,16 +38,17 @@ class BeitNetwork(nn.Module):
             raise ValueError(f"tap {config.taps[-1]} of {config.name}, which has {len(network.blocks)} blocks")
         self.taps = config.taps
         self.native_grid = (config.size[0] // PATCH, config.size[1] // PATCH)
-        self.patch_embed = network.patch_embed.proj
-        self.cls_token = network.cls_token
+        self.patch_embed: nn.Module = network.patch_embed.proj
+        self.cls_token: nn.Parameter = network.cls_token
         # Blocks after the last tap are never used.
-        self.blocks = nn.ModuleList(list(network.blocks)[: config.taps[-1] + 1])
+        blocks = list(network.blocks)[: config.taps[-1] + 1]
+        self.blocks = nn.ModuleList(blocks)
         rows = (2 * self.native_grid[0] - 1) * (2 * self.native_grid[1] - 1) + 3
         self.position_tables = nn.ParameterList(
             nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02))
-            for block in self.blocks
+            for block in blocks
         )
-        self.channels = (network.embed_dim,) * 4
+        self.channels: tuple[int, ...] = (network.embed_dim,) * 4
 
     def forward(
         self, pixels: Float[Tensor, "batch 3 height width"]

@@ -89,7 +89,7 @@ class Decoder(nn.Module):
 
 
 class Reassemble(nn.Module):
-    """Tokens to a map: join the readout token to every token, project, resample (DPT section 3.1, "project" readout)."""
+    """Tokens to a map: join the readout token to every token, project, resample (DPT section 3.1)."""
 
     def __init__(self, channels: int, output_channels: int, *, stride: int, output_stride: int) -> None:
         super().__init__()
@@ -125,7 +125,11 @@ class Fusion(nn.Module):
         self.project = nn.Conv2d(width, output_width, kernel_size=1)
 
     def forward(
-        self, skip: Float[Tensor, "batch width _ _"], coarser: Float[Tensor, "batch width _ _"] | None, *, size: torch.Size
+        self,
+        skip: Float[Tensor, "batch width _ _"],
+        coarser: Float[Tensor, "batch width _ _"] | None,
+        *,
+        size: torch.Size,
     ) -> Float[Tensor, "batch output_width _ _"]:
         """Fuse a map with the level before it (None at the coarsest) and upsample to ``size``."""
         x = skip if self.skip is None or coarser is None else coarser + self.skip(skip)

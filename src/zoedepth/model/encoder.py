@@ -3,7 +3,7 @@
 The differences between families (tokens or maps, channels last or first, four strides or one) end here.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -36,8 +36,8 @@ class Encoder(nn.Module):
     def __init__(self, config: EncoderConfig) -> None:
         super().__init__()
         self.has_readout = config.family == "beit"
-        self.network = BeitNetwork(config) if self.has_readout else PyramidNetwork(config)
-        self.channels: tuple[int, ...] = self.network.channels
+        self.network: BeitNetwork | PyramidNetwork = BeitNetwork(config) if self.has_readout else PyramidNetwork(config)
+        self.channels = self.network.channels
         self.strides = (PATCH,) * 4 if self.has_readout else (4, 8, 16, 32)
         self.reassembled_channels = config.channels if self.has_readout else self.channels
 
@@ -57,11 +57,11 @@ class PyramidNetwork(nn.Module):
 
         super().__init__()
         self.channels_last = config.family == "swin"
-        overrides: dict[str, object] = {}
+        overrides: dict[str, Any] = {}
         if config.family == "swin":
             overrides = {"img_size": config.size, "embed_dim": config.width, "depths": config.depth,
                          "num_heads": config.heads}  # fmt: skip
-        self.stages = timm.create_model(
+        self.stages: Any = timm.create_model(
             config.name,
             pretrained=False,
             features_only=True,
@@ -78,36 +78,39 @@ class PyramidNetwork(nn.Module):
         return [x.permute(0, 3, 1, 2) for x in maps] if self.channels_last else maps
 
 
-class _Float32Training:
+class _Float32Training(nn.Conv2d):
     """A convolution that trains in float32 under CPU autocast.
 
     The backward of a depthwise convolution in bfloat16 has no fast path in oneDNN: in float32 a training step of
     EfficientNet-Lite0 takes 0.4 of the time (``benchmarks/depthwise.py``).
     """
 
-    def forward(self, x: Tensor) -> Tensor:
-        if self.training and x.device.type == "cpu" and torch.is_autocast_enabled("cpu"):  # type: ignore[attr-defined]  # a mixin: nn.Module's
+    def forward(self, input: Tensor) -> Tensor:
+        if self.training and input.device.type == "cpu" and torch.is_autocast_enabled("cpu"):
             with torch.autocast("cpu", enabled=False):
-                return super().forward(x.float())  # type: ignore[misc]  # nn.Conv2d's
-        return super().forward(x)  # type: ignore[misc]
+                return super().forward(input.float())
+        return super().forward(input)
 
 
 def _replace_depthwise(network: nn.Module) -> None:
     """Put a :class:`_Float32Training` twin in the place of each depthwise convolution."""
     from timm.layers import Conv2dSame
 
-    class Depthwise(_Float32Training, nn.Conv2d):
+    class Float32TrainingSame(_Float32Training, Conv2dSame):
         pass
 
-    class DepthwiseSame(_Float32Training, Conv2dSame):
-        pass
-
-    twins = {nn.Conv2d: Depthwise, Conv2dSame: DepthwiseSame}
+    twins = {nn.Conv2d: _Float32Training, Conv2dSame: Float32TrainingSame}
     for parent in list(network.modules()):
         for name, conv in parent.named_children():
-            if type(conv) in twins and conv.groups == conv.in_channels > 1:
+            if isinstance(conv, nn.Conv2d) and type(conv) in twins and conv.groups == conv.in_channels > 1:
                 twin = twins[type(conv)](
-                    conv.in_channels, conv.out_channels, conv.kernel_size, conv.stride, conv.padding,
-                    groups=conv.groups, bias=conv.bias is not None)  # fmt: skip
+                    conv.in_channels,
+                    conv.out_channels,
+                    conv.kernel_size,
+                    conv.stride,
+                    conv.padding,
+                    groups=conv.groups,
+                    bias=conv.bias is not None,
+                )
                 twin.load_state_dict(conv.state_dict())
                 setattr(parent, name, twin)

@@ -92,7 +92,7 @@ class MlpClassifier(nn.Module):
 
 
 class TransformerClassifier(nn.Module):
-    """A transformer over the bottleneck's pixels, then an MLP of its class token (released ``patch_transformer.py``)."""
+    """A transformer over the bottleneck's pixels, then an MLP of its class token (``patch_transformer.py``)."""
 
     def __init__(self, channels: int, n_domains: int, *, width: int) -> None:
         super().__init__()

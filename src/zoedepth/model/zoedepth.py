@@ -1,6 +1,6 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -92,9 +92,9 @@ class ZoeDepth(nn.Module):
 
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
         """Stage 1's part of the model: encoder and decoder, with the relative depth, at the decoder's resolution."""
-        return self.decoder(self.encoder(2 * pixels - 1))  # mean 0.5, standard deviation 0.5, for every encoder
+        return self.decoder(self.encoder(normalize(pixels)))
 
-    def _apply_heads(self, features: NamedTuple, routing: Routing) -> tuple[list[HeadOutput], Int[Tensor, " batch"]]:
+    def _apply_heads(self, features: Any, routing: Routing) -> tuple[list[HeadOutput], Int[Tensor, " batch"]]:
         """The heads' outputs, each for its own images, and the place of each image of the batch in their sequence."""
         if routing.weight is not None:
             return [_mix([head(features) for head in self.heads], routing.weight)], torch.arange(len(routing.domain))
@@ -117,8 +117,13 @@ class ZoeDepth(nn.Module):
             )
 
 
-def _take(features: NamedTuple, rows: Int[Tensor, " rows"]) -> NamedTuple:
-    """The given images of every map."""
+def normalize(pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
+    """[0, 1] to [-1, 1]: mean and standard deviation 0.5, for every encoder (MiDaS v3.1; not ImageNet's)."""
+    return 2 * pixels - 1
+
+
+def _take(features: Any, rows: Int[Tensor, " rows"]) -> Any:
+    """The given images of every map of a NamedTuple."""
     if all(len(rows) == len(x) for x in features if isinstance(x, Tensor)):
         return features  # all of them, in order: nothing to copy
     return type(features)(*(

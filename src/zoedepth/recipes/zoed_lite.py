@@ -35,9 +35,10 @@ def metric() -> TrainConfig:
     return TrainConfig(
         stage="metric",
         model=ZOED_LITE,
-        sources=(_INDOOR, _OUTDOOR),
-        steps=1500,
-        optim=OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
+        sources=(replace(_INDOOR, max_zoom=1.4, zoom_probability=0.5), replace(_OUTDOOR, zoom_probability=0.5)),
+        steps=1400,
+        batch_size=8,
+        optim=OptimConfig(learning_rate=8e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
         domain_weight=1.0,
-        ema_decay=0.995,
+        ema_decay=0.99,
     )

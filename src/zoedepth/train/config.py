@@ -19,6 +19,8 @@ class SourceConfig:
     """squeeze: the whole photo, its shape ignored (released). fit: a window of the network's shape."""
     max_zoom: float = 1.0
     """fit only: windows are up to this many times smaller than the photo, and depth that many times nearer."""
+    zoom_probability: float = 1.0
+    """fit only: share of the samples that are zoomed."""
     kitti_crop: bool = False
     """First take the bottom centre 352x1216 of the photo."""
     rotate_degrees: float = 1.0
@@ -33,8 +35,6 @@ class SourceConfig:
     """Range of the factor of each colour channel."""
     saturation: tuple[float, float] = (1.0, 1.0)
     """Range of the saturation; 0 is grey."""
-    gradient_weight: float = 0.5
-    """Stage 1 only: weight of the gradient term; 0 for sparse depth, which has few neighbours."""
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,8 @@ class TrainConfig:
     """metric: while training, images take the head of their label; False: the router's choice (released)."""
     trim: float = 0.2
     """relative: share of the largest residuals of an image that is ignored."""
+    gradient_weight: float = 0.5
+    """relative: weight of the gradient term."""
     freeze_batch_norm: bool = True
     """Keep the statistics of the encoder's batch norms as pre-trained (released)."""
     ema_decay: float | None = None

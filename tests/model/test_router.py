@@ -1,0 +1,137 @@
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from zoedepth.config import RouterConfig
+from zoedepth.errors import InputError
+from zoedepth.model.router import build_router, positional_code
+
+CLASSIFIERS = pytest.mark.parametrize("classifier", ["mlp", "transformer"])
+LEARNED = pytest.mark.parametrize("kind", ["trained", "auto"])
+
+
+def router(kind: str, *, classifier: str = "mlp", n_domains: int = 3) -> torch.nn.Module:
+    torch.manual_seed(0)
+    return build_router(RouterConfig(kind, classifier=classifier, width=16), 6, n_domains).eval()
+
+
+def bottleneck(batch: int = 4, size: tuple[int, int] = (2, 3)) -> torch.Tensor:
+    return 3 * torch.randn(batch, 6, *size, generator=torch.Generator().manual_seed(1))
+
+
+def test_labeled_router_gives_the_given_domain():
+    given = torch.tensor([2, 0, 1, 2])
+    routing = router("labeled")(bottleneck(), given)
+    assert torch.equal(routing.domain, given)
+    assert routing.logits is None
+    assert routing.weight is None
+
+
+def test_labeled_router_without_labels_is_an_error():
+    with pytest.raises(InputError, match="domain"):
+        router("labeled")(bottleneck(), None)
+
+
+@pytest.mark.parametrize("kind", ["labeled", "trained", "auto"])
+def test_one_domain_needs_neither_labels_nor_a_classifier(kind: str):
+    single = router(kind, n_domains=1)
+    assert list(single.parameters()) == []
+    routing = single(bottleneck(), None)
+    assert routing.domain.tolist() == [0, 0, 0, 0]
+    assert routing.logits is None
+
+
+@CLASSIFIERS
+@LEARNED
+def test_each_image_takes_its_own_best_score_in_evaluation(kind: str, classifier: str):
+    routing = router(kind, classifier=classifier)(bottleneck(), None)
+    assert routing.logits.shape == (4, 3)
+    for scores, domain in zip(routing.logits.tolist(), routing.domain.tolist(), strict=True):
+        assert scores[domain] == max(scores)
+    assert routing.weight is None
+
+
+@CLASSIFIERS
+def test_scores_of_an_image_do_not_depend_on_the_batch(classifier: str):
+    network, x = router("trained", classifier=classifier), bottleneck()
+    together = network(x, None).logits
+    for i in range(4):
+        assert torch.allclose(network(x[i : i + 1], None).logits[0], together[i], atol=1e-5)
+
+
+@CLASSIFIERS
+@LEARNED
+@pytest.mark.parametrize("training", [True, False])
+def test_given_domains_override_the_classifier(kind: str, classifier: str, training: bool):
+    network = router(kind, classifier=classifier).train(training)
+    given = torch.tensor([1, 1, 0, 2])
+    routing = network(bottleneck(), given)
+    assert torch.equal(routing.domain, given)
+    assert routing.weight is None
+    assert routing.logits.shape == (4, 3), "still scored, for the loss on the labels"
+
+
+def test_auto_router_mixes_by_its_probabilities_while_training():
+    routing = router("auto").train()(bottleneck(), None)
+    for scores, weights in zip(routing.logits.tolist(), routing.weight.tolist(), strict=True):
+        total = sum(math.exp(score) for score in scores)
+        assert weights == pytest.approx([math.exp(score) / total for score in scores], abs=1e-6)
+
+
+def test_trained_router_is_hard_while_training():
+    assert router("trained").train()(bottleneck(), None).weight is None
+
+
+@CLASSIFIERS
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (12, 16)])
+def test_bottleneck_of_any_size(classifier: str, size: tuple[int, int]):
+    logits = router("trained", classifier=classifier)(bottleneck(2, size), None).logits
+    assert logits.shape == (2, 3)
+    assert logits.isfinite().all()
+
+
+@CLASSIFIERS
+def test_every_weight_of_the_classifier_gets_a_gradient(classifier: str):
+    network = router("trained", classifier=classifier)
+    network(bottleneck(8), None).logits.square().sum().backward()
+    assert [name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
+
+
+def test_scores_are_float32_under_autocast():
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        logits = router("trained")(bottleneck(), None).logits
+    assert logits.dtype == torch.float32
+
+
+def test_mlp_sees_the_mean_of_the_bottleneck():
+    network, x = router("trained"), bottleneck()
+    flat = x.mean(dim=(2, 3), keepdim=True).expand_as(x)
+    assert torch.allclose(network(x, None).logits, network(flat, None).logits, atol=1e-5)
+
+
+def test_transformer_sees_where_things_are():
+    network, x = router("trained", classifier="transformer"), bottleneck()
+    assert not torch.allclose(network(x, None).logits, network(x.flip(3), None).logits, atol=1e-4)
+
+
+def test_transformer_has_the_released_size():
+    """Four post-norm layers of width 128, feed-forward 1024, on a bottleneck of 256: 1,369,090 weights."""
+    config = replace(RouterConfig(), classifier="transformer", width=128)
+    layer = (3 * 128 * 128 + 3 * 128) + (128 * 128 + 128) + (128 * 1024 + 1024) + (1024 * 128 + 128) + 4 * 128
+    total = (256 * 128 + 128) + 4 * layer + (128 * 128 + 128) + (128 * 2 + 2)
+    with torch.device("meta"):
+        network = build_router(config, 256, 2)
+    assert sum(p.numel() for p in network.parameters()) == total == 1_369_090
+
+
+@pytest.mark.parametrize(("length", "width"), [(1, 4), (7, 8), (193, 128)])
+def test_positional_code_is_sines_then_cosines(length: int, width: int):
+    code = positional_code(length, width)
+    assert code.shape == (length, width)
+    for position in {0, length // 2, length - 1}:
+        for i in range(width // 2):
+            angle = position * math.exp(-math.log(10000) * 2 * i / width)
+            assert code[position, i].item() == pytest.approx(math.sin(angle), abs=1e-4)
+            assert code[position, width // 2 + i].item() == pytest.approx(math.cos(angle), abs=1e-4)

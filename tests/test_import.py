@@ -1,0 +1,66 @@
+import subprocess
+import sys
+
+import pytest
+
+import zoedepth
+
+TORCH = {"torch"}
+LATER = {
+    "timm", "torchvision", "lightning", "lightning_fabric", "tensorboard", "matplotlib", "skimage", "scipy", "gradio",
+    "fastapi", "uvicorn", "onnx", "onnxruntime", "openvino", "transformers", "cv2", "beartype",
+}  # fmt: skip
+"""What costs time to import and is not needed until something is used."""
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter holds after running ``code``."""
+    report = f"import contextlib, io\nwith contextlib.redirect_stdout(io.StringIO()):\n    {code}\n"
+    report += "import sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize(
+    "code",
+    [
+        "import zoedepth",
+        "import zoedepth; zoedepth.ModelConfig, zoedepth.InputError, dir(zoedepth)",
+        "import zoedepth.config, zoedepth.presets, zoedepth.recipes, zoedepth.errors, zoedepth.sizes",
+        "import zoedepth.cli",
+        "from zoedepth.cli import main; assert main(['--help']) == 0",
+        "from zoedepth.cli import main; assert main(['--version']) == 0",
+        "import zoedepth.commands.predict",
+    ],
+)
+def test_cheap_imports_and_help_need_neither_torch_nor_anything_heavy(code: str):
+    assert modules_after(code) & (TORCH | LATER) == set()
+
+
+def test_loading_code_of_the_model_needs_torch_but_not_what_is_used_later():
+    found = modules_after("from zoedepth import Predictor, ZoeDepth, load_model")
+    assert "torch" in found
+    assert found & LATER == set()
+
+
+@pytest.mark.parametrize("name", zoedepth.__all__)
+def test_public_names_are_there_and_listed(name: str):
+    assert getattr(zoedepth, name).__name__ == name
+    assert name in dir(zoedepth)
+
+
+def test_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="zoedepth.*ZoeDeep"):
+        zoedepth.ZoeDeep  # noqa: B018
+
+
+def test_version_is_the_installed_one():
+    from importlib.metadata import version
+
+    assert zoedepth.__version__ == version("zoedepth")
+
+
+def test_package_runs_as_a_module():
+    done = subprocess.run([sys.executable, "-m", "zoedepth", "--version"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0
+    assert done.stdout == f"zoedepth {zoedepth.__version__}\n"

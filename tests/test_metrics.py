@@ -1,0 +1,75 @@
+import math
+
+import numpy as np
+import pytest
+
+from zoedepth.errors import InputError
+from zoedepth.metrics import Metrics, compute_metrics, mean_metrics
+
+
+def test_metrics_by_hand():
+    found = compute_metrics(np.array([1.0, 3.0, 8.0]), np.array([2.0, 2.0, 8.0]))
+    # rel (1/2 + 1/2 + 0) / 3; rmse sqrt((1 + 1 + 0) / 3); log10 (log10 2 + log10 1.5) / 3; ratios 2, 1.5, 1
+    assert found.rel == pytest.approx(1 / 3)
+    assert found.rmse == pytest.approx(math.sqrt(2 / 3))
+    assert found.log10 == pytest.approx((math.log10(2) + math.log10(1.5)) / 3)
+    assert found.delta1 == pytest.approx(1 / 3)
+    assert found.delta2 == pytest.approx(2 / 3)  # 1.5 < 1.5625
+    assert found.delta3 == pytest.approx(2 / 3)  # 2 > 1.953125
+
+
+def test_perfect_prediction():
+    truth = np.linspace(0.5, 9, 50, dtype=np.float32)
+    assert compute_metrics(truth, truth) == Metrics(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "deltas"), [(1.25, (0, 1, 1)), (1.2499, (1, 1, 1)), (1.5625, (0, 0, 1)), (1.953125, (0, 0, 0))]
+)
+def test_thresholds_are_strict_and_the_same_on_both_sides(ratio: float, deltas: tuple[int, int, int]):
+    truth = np.array([4.0])
+    for prediction in (truth * ratio, truth / ratio):
+        found = compute_metrics(prediction, truth)
+        assert (found.delta1, found.delta2, found.delta3) == deltas
+
+
+def test_rel_is_relative_to_the_truth():
+    assert compute_metrics(np.array([1.0]), np.array([4.0])).rel == pytest.approx(0.75)
+    assert compute_metrics(np.array([4.0]), np.array([1.0])).rel == pytest.approx(3.0)
+
+
+def test_sums_are_in_float64():
+    """A million equal errors of float32 numbers do not drift."""
+    truth = np.full(1_000_000, 10.0, dtype=np.float32)
+    found = compute_metrics(np.full_like(truth, 11.0), truth)
+    assert found.rel == pytest.approx(0.1, rel=1e-12)
+    assert found.rmse == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize("which", ["prediction", "truth"])
+def test_values_that_are_no_depth_are_an_error(which: str, bad: float):
+    values = {"prediction": np.ones(3), "truth": np.ones(3)}
+    values[which][1] = bad
+    with pytest.raises(InputError, match=which):
+        compute_metrics(values["prediction"], values["truth"])
+
+
+@pytest.mark.parametrize("truth", [np.ones(0), np.ones(4)])
+def test_no_pixels_or_another_number_of_them_is_an_error(truth: np.ndarray):
+    with pytest.raises(InputError, match="pixels"):
+        compute_metrics(np.ones(len(truth) % 4), truth)
+
+
+def test_mean_is_over_images_not_pixels():
+    one, many = compute_metrics(np.array([2.0]), np.array([1.0])), compute_metrics(np.ones(99), np.ones(99))
+    found = mean_metrics([one, many])
+    assert found.rel == pytest.approx(0.5)
+    assert found.rmse == pytest.approx(0.5)
+    assert found.delta1 == pytest.approx(0.5)
+    assert found.log10 == pytest.approx(math.log10(2) / 2)
+
+
+def test_mean_of_no_images_is_an_error():
+    with pytest.raises(InputError, match="no image"):
+        mean_metrics([])

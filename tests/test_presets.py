@@ -1,0 +1,109 @@
+import pytest
+import torch
+
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.presets import ENCODERS, PRESETS
+
+
+def n_parameters(name: str) -> int:
+    with torch.device("meta"):
+        return sum(p.numel() for p in ZoeDepth(PRESETS[name]).parameters())
+
+
+# The checkpoints hold a first residual unit in the coarsest fusion block, which has no skip to apply it to: two 3x3
+# convolutions of 256 channels, with biases, that are never used. They are not built here.
+UNUSED_UNIT = 2 * (256 * 256 * 9 + 256)
+
+
+@pytest.mark.parametrize(
+    ("name", "released"),
+    [("zoed-m12-n", 343_789_698), ("zoed-m12-k", 343_793_439), ("zoed-m12-nk", 345_073_307)],
+)
+def test_released_models_have_the_released_number_of_parameters(name: str, released: int):
+    """Released: the checkpoint's float tensors without the ImageNet classifier and its norm."""
+    assert UNUSED_UNIT == 1_180_160
+    assert n_parameters(name) == released - UNUSED_UNIT
+
+
+@pytest.mark.parametrize(
+    ("name", "published", "channels"),
+    [
+        ("zoed-m12-n", 345e6, 1024),
+        ("zoed-m12-n-beit-b", 112e6, 768),
+        ("zoed-m12-n-swin-l", 212e6, 1536),
+        ("zoed-m12-n-swin2-t", 42e6, 768),
+        ("zoed-m12-n-swin2-b", 102e6, 1024),
+        ("zoed-m12-n-swin2-l", 214e6, 1536),
+    ],
+)
+def test_parameters_are_within_one_percent_of_the_papers_table(name: str, published: float, channels: int):
+    """The paper counts what the released code builds: also the unused unit, and timm's classifier of 1000 classes with
+    the norm before it, on the last stage's channels."""
+    unused = UNUSED_UNIT + 1000 * (channels + 1) + 2 * channels
+    assert n_parameters(name) + unused == pytest.approx(published, rel=0.01)
+
+
+def test_every_model_the_paper_names_is_there():
+    pairs = ["x-n", "n-n", "nk-n", "m12-n", "x-k", "k-k", "nk-k", "m12-k", "nk-nk", "m12-nk", "x-nk"]
+    assert {f"zoed-{pair}" for pair in pairs} <= set(PRESETS)
+    assert {"zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-lite"} <= set(PRESETS)
+
+
+def test_models_of_the_paper_follow_the_paper():
+    for name in ("zoed-x-n", "zoed-x-k", "zoed-nk-nk", "zoed-m12-nk-one-head", "zoed-m12-n-swin2-t"):
+        head = PRESETS[name].head
+        assert (head.n_bins, head.n_attractors, head.kind, head.reduce) == (64, (16, 8, 4, 1), "inverse", "sum")
+        assert (head.alpha, head.gamma, head.centers, head.probability) == (300, 2, "softplus", "log-binomial")
+        assert head.relative_input
+
+
+def test_released_models_follow_the_weights():
+    n, k, nk = (PRESETS[f"zoed-m12-{data}"] for data in ("n", "k", "nk"))
+    assert {config.head.reduce for config in (n, k, nk)} == {"mean"}
+    assert {(config.head.alpha, config.head.gamma) for config in (n, k, nk)} == {(300, 2)}
+    assert (n.head.n_attractors, n.head.centers, n.head.bottleneck_factor) == ((16, 8, 4, 1), "softplus", 2)
+    assert (k.head.centers, k.head.attractor_ratio) == ("normed", False)
+    assert nk.head.n_attractors == (16, 16, 16, 16)
+    assert not nk.head.relative_input
+    assert (nk.head.bottleneck_factor, nk.head.projector_width, nk.head.seed_width) == (4, 64, 64)
+    assert (nk.router.kind, nk.router.classifier) == ("trained", "transformer")
+    for config in (n, k, nk):
+        assert (config.head.min_temperature, config.head.max_temperature) == (0.0212, 50.0)
+        assert not config.antialias
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "domains"),
+    [
+        ("zoed-m12-n", (384, 512), [("indoor", 1e-3, 10.0)]),
+        ("zoed-m12-k", (384, 768), [("outdoor", 1e-3, 80.0)]),
+        ("zoed-m12-nk", (384, 512), [("indoor", 1e-3, 10.0), ("outdoor", 1e-3, 80.0)]),
+        ("zoed-m12-n-swin2-t", (256, 256), [("indoor", 1e-3, 10.0)]),
+    ],
+)
+def test_sizes_and_depth_ranges(name: str, size: tuple[int, int], domains: list[tuple[str, float, float]]):
+    config = PRESETS[name]
+    assert config.size == size
+    assert [(domain.name, domain.min_depth, domain.max_depth) for domain in config.domains] == domains
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_can_be_built(name: str):
+    assert n_parameters(name) > 1_000_000
+
+
+def test_shipped_model_fits_its_file():
+    """At most 16 MB in half precision."""
+    with torch.device("meta"):
+        state = ZoeDepth(PRESETS["zoed-lite"]).state_dict()
+    assert sum(2 * value.numel() for value in state.values()) < 16e6
+
+
+def test_all_backbones_of_the_paper_are_there():
+    used = {config.encoder.name for config in PRESETS.values()}
+    assert used <= set(ENCODERS)
+    assert all(config.name == name for name, config in ENCODERS.items())
+    for word in ("beit_large_patch16_384", "beit_large_patch16_512", "beit_base", "swin_large", "swinv2_large"):
+        assert any(word in name for name in used)
+    for word in ("swinv2_base", "swinv2_tiny", "efficientnet_b5", "efficientnet_lite"):
+        assert any(word in name for name in used)

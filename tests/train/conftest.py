@@ -1,0 +1,50 @@
+"""A tiny training run of either stage: what every file of this folder starts from."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.folders import write_disparity_pairs, write_pairs
+
+from zoedepth.config import ModelConfig
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+
+
+@pytest.fixture(scope="session")
+def data(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Four indoor and two outdoor photos, to be read only: NAME → CSV file."""
+    folder = tmp_path_factory.mktemp("data")
+    return {
+        "indoor": write_pairs(folder / "indoor", n=4),
+        "outdoor": write_pairs(folder / "outdoor", n=2, domain="outdoor", size=(48, 160)),
+    }
+
+
+@pytest.fixture(scope="session")
+def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """CSV file of three photos with disparity, to be read only."""
+    return write_disparity_pairs(tmp_path_factory.mktemp("stills"), n=3)
+
+
+@pytest.fixture(scope="session")
+def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
+    """Builds a run of four steps in float32, in this process; every field can be given another value."""
+
+    def make(stage: str = "metric", **fields: object) -> TrainConfig:
+        defaults: dict[str, object] = {
+            "stage": stage,
+            "model": tiny_config,
+            "sources": tuple(SourceConfig(name) for name in ("indoor", "outdoor", "relative")),
+            "steps": 4,
+            "batch_size": 2,
+            "optim": OptimConfig(learning_rate=1e-3, encoder_factor=1.0, warmup=0.3, clip=1.0),
+            "domain_weight": 1.0,
+            "ema_decay": 0.9,
+            "precision": "32-true",
+            "checkpoint_every": 2,
+            "log_every": 1,
+            "n_workers": 0,
+        }
+        return TrainConfig(**{**defaults, **fields})  # type: ignore[arg-type]
+
+    return make

@@ -1,0 +1,372 @@
+"""Stage 2: it learns, it is reproducible, and an interrupted run goes on as if nothing had happened."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from tests.folders import write_pairs
+
+from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Batch, Sample
+from zoedepth.errors import InputError
+from zoedepth.evaluation.evaluate import predict_depth
+from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
+from zoedepth.pretrained import load_model, save_model
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+from zoedepth.train.metric import metric_losses, train_metric
+from zoedepth.train.state import checkpoints
+
+MakeConfig = Callable[..., TrainConfig]
+Data = dict[str, Path]
+
+CALM = SourceConfig("indoor", rotate_degrees=0.0, color_probability=0.0)
+"""A source that leaves photos as they are, but for mirroring."""
+
+
+def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
+    return load_file(checkpoint / "model.safetensors")
+
+
+def assert_same_checkpoint(first: Path, second: Path) -> None:
+    """Result, weights, moving average, optimizer and random state are the same, bit for bit."""
+    saved = [torch.load(folder / "train.pt", weights_only=True) for folder in (first, second)]
+    leaves = [torch.utils._pytree.tree_flatten(values) for values in saved]
+    assert leaves[0][1] == leaves[1][1]
+    for a, b in zip(leaves[0][0], leaves[1][0], strict=True):
+        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+    for name, value in weights(first).items():
+        assert torch.equal(value, weights(second)[name]), name
+
+
+def log_of(out: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+
+
+def read(monkeypatch: pytest.MonkeyPatch, change: Callable[[Sample], Sample]) -> None:
+    """Put a change between the files and the training."""
+    original = PairDataset.__getitem__
+    monkeypatch.setattr(PairDataset, "__getitem__", lambda self, index: change(original(self, index)))
+
+
+@pytest.fixture(scope="module")
+def config(make_config: MakeConfig, tiny_config: ModelConfig) -> TrainConfig:
+    """A run whose router draws random numbers (dropout) in every step."""
+    router = RouterConfig("trained", classifier="transformer", width=16)
+    return make_config(model=dataclasses.replace(tiny_config, router=router))
+
+
+@pytest.fixture(scope="module")
+def finished(config: TrainConfig, data: Data, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of that run, never interrupted, to be read only: checkpoints after steps 2 and 4."""
+    out = tmp_path_factory.mktemp("finished")
+    train_metric(config, data=data, out=out, start=None)
+    return out
+
+
+@pytest.fixture
+def out(finished: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    return shutil.copytree(finished, tmp_path / "out")
+
+
+# ---------------------------------------------------------------------------------------------------- it learns
+
+
+def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path) -> None:
+    config = make_config(
+        sources=(CALM, dataclasses.replace(CALM, name="outdoor")),
+        steps=60,
+        ema_decay=None,
+        checkpoint_every=1000,
+        optim=OptimConfig(learning_rate=5e-3, encoder_factor=1.0, warmup=0.2, initial_division=10, clip=1.0),
+    )
+    one_of_each = {name: write_pairs(tmp_path / name, n=1, domain=name) for name in ("indoor", "outdoor")}
+
+    last = train_metric(config, data=one_of_each, out=tmp_path / "out", start=None)
+
+    losses = [line["train/silog"] for line in log_of(tmp_path / "out")]
+    assert len(losses) == 60
+    assert sum(losses[-5:]) < 0.4 * sum(losses[:5])
+    routing = [line["train/domain"] for line in log_of(tmp_path / "out")]
+    assert routing[-1] < 0.1 < routing[0]
+    model = load_model(last)
+    for index, path in enumerate(one_of_each.values()):
+        sample = PairDataset(path)[0]
+        depth, domain = predict_depth(model, sample.image, flip_average=False)
+        known = sample.mask[0].numpy()
+        truth = sample.target[0].numpy()[known]
+        assert domain == index
+        assert abs(depth[known] / truth - 1).mean() < 0.25
+
+
+def test_loss_terms_are_those_of_the_batch() -> None:
+    depth = torch.full((2, 1, 4, 4), 2.0)
+    target = torch.full((2, 1, 4, 4), 1.0)
+    logits = torch.tensor([[0.0, 0.0], [0.0, 0.0]])
+    output = DepthOutput(depth, depth, torch.tensor([0, 1]), logits, None, None)
+    batch = Batch(torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), ["a", "b"])
+
+    terms = metric_losses(output, batch, domain_weight=3.0)
+
+    # All pixels are off by ln 2, so the variance is 0: 10 sqrt(0.15) ln 2. Two equal scores: 3 ln 2.
+    assert terms["silog"].item() == pytest.approx(10 * 0.15**0.5 * 0.693147, rel=1e-4)
+    assert terms["domain"].item() == pytest.approx(3 * 0.693147, rel=1e-5)
+    assert set(metric_losses(output, batch, domain_weight=0.0)) == {"silog"}
+    assert set(metric_losses(output._replace(domain_logits=None), batch, domain_weight=3.0)) == {"silog"}
+
+
+@pytest.mark.parametrize("kind", ["labeled", "auto"])
+def test_other_routers_train(
+    make_config: MakeConfig, tiny_config: ModelConfig, data: Data, tmp_path: Path, kind: Literal["labeled", "auto"]
+) -> None:
+    model = dataclasses.replace(tiny_config, router=RouterConfig(kind, width=16))
+    config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0)
+    train_metric(config, data=data, out=tmp_path, start=None)
+    assert [set(line) & {"train/silog", "train/domain"} for line in log_of(tmp_path)] == [{"train/silog"}] * 2
+
+
+def test_model_of_one_domain_trains_on_any_data(
+    make_config: MakeConfig, tiny_config: ModelConfig, data: Data, tmp_path: Path
+) -> None:
+    model = dataclasses.replace(tiny_config, domains=tiny_config.domains[1:])
+    last = train_metric(make_config(model=model, steps=1), data=data, out=tmp_path / "out", start=None)
+    assert len(load_model(last).heads) == 1
+
+
+def test_batches_of_one_data_set_each_alternate(
+    make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_domains = []
+    read(monkeypatch, lambda sample: read_domains.append(sample.domain) or sample)
+    train_metric(make_config(mix_by="batch", batch_size=3), data=data, out=tmp_path / "out", start=None)
+    assert read_domains == [*["indoor"] * 3, *["outdoor"] * 3] * 2
+
+
+# ---------------------------------------------------------------------------------------------------- the same again
+
+
+def test_same_seed_gives_the_same_result_and_another_seed_another(
+    config: TrainConfig, data: Data, finished: Path, tmp_path: Path
+) -> None:
+    torch.rand(3)  # what was drawn before does not matter
+    again = train_metric(config, data=data, out=tmp_path / "again", start=None)
+    other = train_metric(dataclasses.replace(config, seed=1), data=data, out=tmp_path / "other", start=None)
+
+    assert_same_checkpoint(finished / "step_000004", again)
+    assert any(not torch.equal(value, weights(other)[name]) for name, value in weights(again).items())
+
+
+def test_order_in_which_data_is_given_does_not_matter(
+    config: TrainConfig, data: Data, finished: Path, tmp_path: Path
+) -> None:
+    again = train_metric(config, data=dict(reversed(data.items())), out=tmp_path, start=None)
+    assert_same_checkpoint(finished / "step_000004", again)
+
+
+def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
+    config: TrainConfig, data: Data, finished: Path, out: Path
+) -> None:
+    # As a run that was killed while it wrote its last checkpoint leaves its folder.
+    part = out / ".step_000004.part"
+    (out / "step_000004").rename(part)
+    (part / "train.pt").write_bytes(b"half a file")
+
+    resumed = train_metric(config, data=data, out=out, start=None)
+
+    assert resumed == out / "step_000004"
+    assert_same_checkpoint(finished / "step_000004", resumed)
+    assert [line["step"] for line in log_of(out)] == [1, 2, 3, 4]
+    assert not part.exists()
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_interrupted_run_keeps_its_checkpoints_and_goes_on(
+    config: TrainConfig, data: Data, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, after: int
+) -> None:
+    n_read = 0
+
+    def interrupt(sample: Sample) -> Sample:
+        nonlocal n_read
+        n_read += 1
+        if n_read > after * config.batch_size:
+            raise KeyboardInterrupt
+        return sample
+
+    with monkeypatch.context() as patch:
+        read(patch, interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train_metric(config, data=data, out=tmp_path, start=None)
+    assert [path.name for path in checkpoints(tmp_path)] == ([] if after == 1 else ["step_000002"])
+    assert [line["step"] for line in log_of(tmp_path)] == list(range(1, after + 1))
+
+    resumed = train_metric(config, data=data, out=tmp_path, start=None)
+    assert_same_checkpoint(finished / "step_000004", resumed)
+    assert [line["step"] for line in log_of(tmp_path)] == [1, 2, 3, 4]
+
+
+def test_finished_run_is_left_as_it_is(config: TrainConfig, data: Data, out: Path) -> None:
+    last = out / "step_000004"
+    before = (last / "train.pt").read_bytes()
+    assert train_metric(config, data=data, out=out, start="not read when resuming") == last
+    assert (last / "train.pt").read_bytes() == before
+    assert [line["step"] for line in log_of(out)] == [1, 2, 3, 4]
+
+
+def test_line_of_the_log_that_was_cut_off_does_not_hinder_resuming(config: TrainConfig, data: Data, out: Path) -> None:
+    with (out / "log.jsonl").open("a") as file:
+        file.write('{"step": 5, "train/si')
+    train_metric(config, data=data, out=out, start=None)
+    assert [line["step"] for line in log_of(out)] == [1, 2, 3, 4]
+
+
+def test_run_of_another_configuration_is_refused_and_the_field_named(
+    config: TrainConfig, data: Data, out: Path
+) -> None:
+    before = (out / "step_000004" / "train.pt").read_bytes()
+    with pytest.raises(InputError, match="batch_size"):
+        train_metric(dataclasses.replace(config, batch_size=4), data=data, out=out, start=None)
+    assert (out / "step_000004" / "train.pt").read_bytes() == before
+
+
+# ---------------------------------------------------------------------------------------------------- what is saved
+
+
+def test_result_is_the_moving_average_and_loads_like_any_model(config: TrainConfig, finished: Path) -> None:
+    model = load_model(finished / "step_000004")
+    saved = torch.load(finished / "step_000004" / "train.pt", weights_only=True)
+
+    assert model.config == config.model
+    result = dict(model.state_dict())
+    for name, value in result.items():
+        assert torch.equal(value, saved["ema"][f"module.{name}"]), name
+    assert any(not torch.equal(value, saved["model"][name]) for name, value in result.items())
+
+
+def test_checkpoints_come_at_their_steps_and_at_the_end(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
+    config = make_config(steps=5, checkpoint_every=4, log_every=2)
+    last = train_metric(config, data=data, out=tmp_path, start=None)
+    assert last == tmp_path / "step_000005"
+    assert [path.name for path in checkpoints(tmp_path)] == ["step_000004", "step_000005"]
+    assert [line["step"] for line in log_of(tmp_path)] == [2, 4, 5]
+    assert list((tmp_path / "tensorboard").glob("events*"))
+
+
+def test_held_out_photos_are_validated_not_trained_on(
+    make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names: list[str] = []
+    read(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
+    config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2)
+    train_metric(config, data=data, out=tmp_path, start=None)
+
+    lines = [line for line in log_of(tmp_path) if "validation/indoor/rel" in line]
+    assert [line["step"] for line in lines] == [2, 3]
+    expected = {f"validation/{name}/{metric}" for name in data for metric in ("rel", "rmse", "delta1", "router")}
+    assert all({key for key in line if key.startswith("validation/")} == expected for line in lines)
+    # Read were steps 1 and 2, a validation, step 3, a validation.
+    held_out = ["train_003.jpg", "train_001.jpg"]  # the last indoor and the last outdoor one
+    assert names[8:10] == held_out
+    assert names[14:] == held_out
+    trained = names[:8] + names[10:14]
+    # Indoor and outdoor take turns.
+    assert set(trained[0::2]) == {"train_000.jpg", "train_001.jpg", "train_002.jpg"}
+    assert set(trained[1::2]) == {"train_000.jpg"}
+
+
+def test_held_out_photos_without_truth_do_not_stop_the_training(make_config: MakeConfig, tmp_path: Path) -> None:
+    # Smaller than the Eigen crop's corner: no pixel of it is scored.
+    small = write_pairs(tmp_path / "small", n=2, size=(40, 40))
+    config = make_config(steps=1, holdout=1)
+    last = train_metric(config, data={"indoor": small}, out=tmp_path / "out", start=None)
+    assert last.name == "step_000001"
+
+
+def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_intact(
+    config: TrainConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names: list[str] = []
+
+    def spoil(sample: Sample) -> Sample:
+        names.append(sample.name)
+        fourth_step = len(names) > 3 * config.batch_size
+        return dataclasses.replace(sample, image=sample.image * float("nan")) if fourth_step else sample
+
+    read(monkeypatch, spoil)
+    with pytest.raises(FloatingPointError, match="step 4") as raised:
+        train_metric(config, data=data, out=tmp_path, start=None)
+
+    assert all(name in str(raised.value) for name in names[6:8])
+    (kept,) = checkpoints(tmp_path)
+    assert kept.name == "step_000002"
+    assert all(value.isfinite().all() for value in load_model(kept).state_dict().values())
+
+
+def test_depth_that_is_not_a_number_is_unknown(
+    make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def spoil(sample: Sample) -> Sample:
+        target = sample.target.clone()
+        target[0, ::2] = float("nan")
+        return dataclasses.replace(sample, target=target)
+
+    read(monkeypatch, spoil)
+    last = train_metric(make_config(steps=2), data=data, out=tmp_path, start=None)
+    assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
+
+
+def test_photos_without_any_depth_leave_a_finite_model(make_config: MakeConfig, tmp_path: Path) -> None:
+    empty = write_pairs(tmp_path / "empty", n=2, without_truth=(0, 1))
+    last = train_metric(make_config(steps=2), data={"indoor": empty}, out=tmp_path / "out", start=None)
+    assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
+
+
+# ---------------------------------------------------------------------------------------------------- what is frozen
+
+
+@pytest.fixture(scope="module")
+def lite_config(tiny_config: ModelConfig) -> ModelConfig:
+    """EfficientNet-Lite0, which has batch norms, under the tiny decoder and heads."""
+    encoder = EncoderConfig("tf_efficientnet_lite0", "convolutional", size=(224, 224))
+    return dataclasses.replace(tiny_config, encoder=encoder)
+
+
+@pytest.mark.parametrize("frozen", [True, False])
+def test_batch_norm_statistics_stay_where_they_are_frozen(
+    make_config: MakeConfig, lite_config: ModelConfig, data: Data, tmp_path: Path, frozen: bool
+) -> None:
+    torch.manual_seed(5)
+    start = ZoeDepth(lite_config)
+    save_model(start, tmp_path / "start.safetensors")
+    config = make_config(model=lite_config, steps=2, freeze_batch_norm=frozen, ema_decay=None)
+
+    last = train_metric(config, data=data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+
+    before, after = start.state_dict(), load_model(last).state_dict()
+    statistics = [name for name in before if "running_" in name]
+    assert len(statistics) > 50
+    assert all(torch.equal(before[name], after[name]) for name in statistics) == frozen
+    assert any(not torch.equal(before[n], after[n]) for n, _ in start.encoder.named_parameters(prefix="encoder"))
+
+
+def test_frozen_encoder_stays_while_the_rest_learns(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
+    optim = OptimConfig(learning_rate=1e-3, encoder_factor=0.0, position_factor=0.0, warmup=0.3)
+    config = make_config(steps=2, optim=optim, ema_decay=None)
+    torch.manual_seed(5)
+    start = ZoeDepth(config.model)
+    save_model(start, tmp_path / "start.safetensors")
+
+    last = train_metric(config, data=data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+
+    model = load_model(last)
+    for name, value in start.encoder.state_dict().items():
+        assert torch.equal(value, model.encoder.state_dict()[name]), name
+    for part in ("decoder", "heads", "router"):
+        before, after = getattr(start, part).state_dict(), getattr(model, part).state_dict()
+        assert any(not torch.equal(before[name], after[name]) for name in before), part

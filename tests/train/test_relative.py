@@ -1,0 +1,183 @@
+"""Stage 1: it learns from depth and disparity alike, goes on exactly, and its result starts stage 2."""
+
+import dataclasses
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+from tests.folders import write_disparity_pairs, write_pairs
+
+from zoedepth.data.augment import to_disparity
+from zoedepth.data.pairs import PairDataset
+from zoedepth.losses import scale_and_shift_invariant
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.pretrained import load_model, save_model
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+from zoedepth.train.metric import train_metric
+from zoedepth.train.relative import RelativeModel, train_relative
+
+MakeConfig = Callable[..., TrainConfig]
+Data = dict[str, Path]
+
+
+def log_of(out: Path) -> list[dict[str, float]]:
+    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+
+
+@pytest.fixture(scope="module")
+def config(make_config: MakeConfig) -> TrainConfig:
+    return make_config("relative")
+
+
+@pytest.fixture(scope="module")
+def all_data(data: Data, stills: Path) -> Data:
+    return {**data, "relative": stills}
+
+
+@pytest.fixture(scope="module")
+def finished(config: TrainConfig, all_data: Data, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run, never interrupted, to be read only: checkpoints after steps 2 and 4."""
+    out = tmp_path_factory.mktemp("finished")
+    train_relative(config, data=all_data, out=out, start=None)
+    return out
+
+
+def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path) -> None:
+    calm = SourceConfig("indoor", rotate_degrees=0.0, color_probability=0.0)
+    config = make_config(
+        "relative",
+        sources=(calm, dataclasses.replace(calm, name="relative")),
+        steps=60,
+        ema_decay=None,
+        checkpoint_every=1000,
+        optim=OptimConfig(learning_rate=5e-3, encoder_factor=1.0, warmup=0.2, initial_division=10, clip=1.0),
+    )
+    data = {
+        "indoor": write_pairs(tmp_path / "indoor", n=1, size=(64, 64)),
+        "relative": write_disparity_pairs(tmp_path / "stills", n=1, size=(64, 64)),
+    }
+
+    last = train_relative(config, data=data, out=tmp_path / "out", start=None)
+
+    losses = [line["train/ssi"] for line in log_of(tmp_path / "out")]
+    assert sum(losses[-5:]) < 0.5 * sum(losses[:5])
+    model = RelativeModel(load_model(last))
+    for path in data.values():
+        sample = to_disparity()(PairDataset(path)[0], torch.Generator())  # type: ignore[arg-type]  # draws nothing
+        with torch.no_grad():
+            relative = model(sample.image[None])
+        # Near is large: the prediction goes with disparity, not with depth.
+        pairs = torch.stack([relative[0][sample.mask], sample.target[sample.mask]])
+        assert torch.corrcoef(pairs)[0, 1] > 0.7
+
+
+def test_relative_depth_is_that_of_the_whole_model_at_the_photos_size(tiny_model: ZoeDepth) -> None:
+    pixels = torch.rand(2, 3, 64, 96)
+    with torch.no_grad():
+        torch.testing.assert_close(RelativeModel(tiny_model)(pixels), tiny_model(pixels).relative)
+
+
+@pytest.mark.parametrize(("trim", "gradient_weight"), [(0.2, 0.5), (0.0, 0.5), (0.2, 0.0)])
+def test_loss_is_the_scale_and_shift_invariant_one_with_the_configured_terms(
+    make_config: MakeConfig, stills: Path, tmp_path: Path, trim: float, gradient_weight: float
+) -> None:
+    calm = SourceConfig("relative", rotate_degrees=0.0, color_probability=0.0)
+    config = make_config("relative", sources=(calm,), steps=1, trim=trim, gradient_weight=gradient_weight)
+    start = ZoeDepth(config.model)
+    save_model(start, tmp_path / "start.safetensors")
+    one = stills.with_name("one.csv")
+    one.write_text("\n".join(stills.read_text().splitlines()[:2]))
+    read: list[torch.Tensor] = []
+    start.encoder.register_forward_hook(lambda module, inputs, output: read.append(inputs[0]))
+
+    train_relative(config, data={"relative": one}, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+
+    # The photo comes mirrored or not; the loss of a mirrored photo is another one. The step's batch is one of 2 x 2.
+    from zoedepth.data.augment import flip, squeeze
+
+    sample = squeeze((64, 64))(PairDataset(one)[0], torch.Generator())  # type: ignore[arg-type]  # draws nothing
+    samples = []
+    for seed in range(32):
+        import numpy as np
+
+        samples.append(to_disparity()(flip()(sample, np.random.default_rng(seed)), np.random.default_rng(0)))
+    model = RelativeModel(start.train())
+    expected = set()
+    for first in samples[:2]:
+        for second in samples[:2]:
+            pair = [first, second]
+            pixels, target, mask = (torch.stack([getattr(s, f) for s in pair]) for f in ("image", "target", "mask"))
+            with torch.no_grad():
+                loss = scale_and_shift_invariant(
+                    model(pixels), target, mask, trim=trim, gradient_weight=gradient_weight
+                )
+            expected.add(round(loss.item(), 3))
+    assert round(log_of(tmp_path / "out")[0]["train/ssi"], 3) in expected
+
+
+def test_heads_and_router_are_left_as_they_are(config: TrainConfig, all_data: Data, tmp_path: Path) -> None:
+    config = dataclasses.replace(config, ema_decay=None)
+    start = ZoeDepth(config.model)
+    save_model(start, tmp_path / "start.safetensors")
+    last = train_relative(config, data=all_data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+
+    before, after = start.state_dict(), load_model(last).state_dict()
+    changed = {name.split(".")[0] for name in before if not torch.equal(before[name], after[name])}
+    assert changed == {"encoder", "decoder"}
+
+
+def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
+    config: TrainConfig, all_data: Data, finished: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(finished / "step_000002", out / "step_000002")
+    shutil.copytree(finished / "step_000004", out / ".step_000004.part")
+    (out / ".step_000004.part" / "train.pt").write_bytes(b"half a file")
+
+    resumed = train_relative(config, data=all_data, out=out, start=None)
+
+    assert resumed == out / "step_000004"
+    saved = [torch.load(folder / "step_000004" / "train.pt", weights_only=True) for folder in (finished, out)]
+    leaves = [torch.utils._pytree.tree_leaves(values) for values in saved]
+    for a, b in zip(*leaves, strict=True):
+        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+    results = [load_file(folder / "step_000004" / "model.safetensors") for folder in (finished, out)]
+    assert all(torch.equal(value, results[1][name]) for name, value in results[0].items())
+
+
+def test_result_starts_the_second_stage(make_config: MakeConfig, data: Data, finished: Path, tmp_path: Path) -> None:
+    # A rate of nearly nothing shows where the second stage starts from.
+    config = make_config(steps=1, ema_decay=None, optim=OptimConfig(learning_rate=1e-12))
+    last = train_metric(config, data=data, out=tmp_path, start=str(finished / "step_000004"))
+    first, second = load_model(finished / "step_000004"), load_model(last)
+    for part in ("encoder", "decoder"):
+        for name, value in getattr(first, part).state_dict().items():
+            torch.testing.assert_close(getattr(second, part).state_dict()[name], value, atol=1e-9, rtol=1e-6)
+
+
+def test_depth_of_an_unknown_domain_is_welcome(make_config: MakeConfig, tmp_path: Path) -> None:
+    path = write_pairs(tmp_path / "attic", n=2, domain="outdoor")
+    path.write_text(path.read_text().replace("outdoor", "attic"))
+    train_relative(make_config("relative", steps=1), data={"relative": path}, out=tmp_path / "out", start=None)
+    assert log_of(tmp_path / "out")[0]["train/ssi"] > 0
+
+
+def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_intact(
+    config: TrainConfig, all_data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    original, n_read = PairDataset.__getitem__, 0
+
+    def spoil(dataset: PairDataset, index: int) -> object:
+        nonlocal n_read
+        n_read += 1
+        sample = original(dataset, index)
+        return dataclasses.replace(sample, image=sample.image * float("nan")) if n_read > 4 else sample
+
+    monkeypatch.setattr(PairDataset, "__getitem__", spoil)
+    with pytest.raises(FloatingPointError, match=r"step 3.*\.jpg"):
+        train_relative(config, data=all_data, out=tmp_path, start=None)
+    assert all(value.isfinite().all() for value in load_model(tmp_path / "step_000002").state_dict().values())

