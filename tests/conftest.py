@@ -1,5 +1,8 @@
 """Fixtures shared by all tests: a model small enough to run in milliseconds."""
 
+from collections.abc import Iterator
+
+import jaxtyping
 import pytest
 import torch
 
@@ -52,3 +55,11 @@ def tiny_model(tiny_config: ModelConfig) -> ZoeDepth:
             if weight.ndim > 1:
                 weight.mul_(2)
     return model
+
+
+@pytest.fixture
+def unchecked_types() -> Iterator[None]:
+    """Types and shapes in signatures are not checked, as in use: for tests of the errors that wrong ones get then."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)

@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
@@ -50,13 +51,11 @@ def test_public_names_are_there_and_listed(name: str):
 
 
 def test_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="zoedepth.*ZoeDeep"):
+    with pytest.raises(AttributeError, match=r"zoedepth.*ZoeDeep"):
         zoedepth.ZoeDeep  # noqa: B018
 
 
 def test_version_is_the_installed_one():
-    from importlib.metadata import version
-
     assert zoedepth.__version__ == version("zoedepth")
 
 

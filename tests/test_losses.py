@@ -141,7 +141,7 @@ def test_impossible_trim_is_an_error(trim: float):
 
 
 def test_gradient_error_by_hand():
-    # Across: |2 - 1| + |3 - 5| = 3. Down: |5 - 1| + |3 - 2| = 5. Over 4 pixels: 2. Half of the pixels: one, no neighbour.
+    # Across: |2 - 1| + |3 - 5| = 3. Down: |5 - 1| + |3 - 2| = 5. Over 4 pixels: 2. At stride 2: one pixel alone.
     residual = torch.tensor([[1.0, 2.0], [5.0, 3.0]])
     mask = torch.ones(2, 2, dtype=torch.bool)
     assert gradient_error(residual, mask, n_scales=1).item() == pytest.approx(2.0)
@@ -190,7 +190,7 @@ def reference_relative_loss(prediction: Tensor, target: Tensor, mask: Tensor) ->
 def test_relative_loss_against_a_loop():
     prediction, target, mask = random_maps()
     expected = reference_relative_loss(prediction, target, mask)
-    found = scale_and_shift_invariant(prediction, target, mask, gradient_weight=0)
+    found = scale_and_shift_invariant(prediction, target, mask, gradient_weight=0.0)
     assert found.item() == pytest.approx(expected, rel=1e-4)
 
 
@@ -199,7 +199,7 @@ def test_relative_loss_adds_the_weighted_gradients_of_the_residual():
     residual = normalize_robust(prediction[0], mask[0]) - normalize_robust(target[0], mask[0])
     gradients = gradient_error(residual[0], mask[0, 0], n_scales=4).item()
     without, half, double = (
-        scale_and_shift_invariant(prediction, target, mask, gradient_weight=weight).item() for weight in (0, 0.5, 2)
+        scale_and_shift_invariant(prediction, target, mask, gradient_weight=weight).item() for weight in (0.0, 0.5, 2.0)
     )
     assert half - without == pytest.approx(0.5 * gradients, rel=1e-4)
     assert double - without == pytest.approx(2 * gradients, rel=1e-4)
@@ -238,7 +238,7 @@ def test_relative_loss_forgets_outliers_below_the_trim():
     wrong = target.clone()
     wrong[..., 0, :15] += 0.2
     kept, all_of_it = (
-        scale_and_shift_invariant(wrong, target, mask, trim=trim, gradient_weight=0).item() for trim in (0.2, 0.0)
+        scale_and_shift_invariant(wrong, target, mask, trim=trim, gradient_weight=0.0).item() for trim in (0.2, 0.0)
     )
     assert kept < 0.6 * all_of_it
 

@@ -55,6 +55,7 @@ def test_values_that_are_no_depth_are_an_error(which: str, bad: float):
         compute_metrics(values["prediction"], values["truth"])
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize("truth", [np.ones(0), np.ones(4)])
 def test_no_pixels_or_another_number_of_them_is_an_error(truth: np.ndarray):
     with pytest.raises(InputError, match="pixels"):

@@ -163,9 +163,11 @@ def preview(
         colormap: see ``colorize``.
         max_side: the longer side of each of the two pictures; small photos are enlarged to at least 320.
     """
-    vmin, vmax = depth_range(depth, vmin=vmin, vmax=vmax, percentiles=percentiles)
     height, width = image.shape[:2]
     longer = max(height, width)
+    step = max(1, longer // max_side)
+    depth = depth[::step, ::step]  # no more pixels than are shown: colouring 50 megapixels takes seconds
+    vmin, vmax = depth_range(depth, vmin=vmin, vmax=vmax, percentiles=percentiles)
     scale = min(max(longer, min(320, max_side)), max_side) / longer
     size = (max(1, round(height * scale)), max(1, round(width * scale)))
     bar = color_bar(max(size[0], 120), vmin=vmin, vmax=vmax, colormap=colormap)

@@ -39,6 +39,12 @@ class EncoderConfig:
     heads: tuple[int, ...] | None = None
     """Number of attention heads (of each stage) in place of timm's."""
 
+    def __post_init__(self) -> None:
+        n_maps = 4 if self.family == "beit" else 0
+        _require(len(self.taps) == n_maps and list(self.taps) == sorted(set(self.taps)), "encoder.taps",
+                 f"{n_maps} increasing numbers for {self.family}", self.taps)  # fmt: skip
+        _require(len(self.channels) == n_maps, "encoder.channels", f"{n_maps} numbers for {self.family}", self.channels)
+
 
 @dataclass(frozen=True)
 class DecoderConfig:
@@ -184,7 +190,7 @@ def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: s
     """The inverse of :func:`to_dict`.
 
     Raises:
-        InputError: a field is unknown, missing, or of the wrong type; the message names it.
+        InputError: a field is unknown, of the wrong type, or missing without having a default; the message names it.
     """
     return _build(config_type, values, where)
 
@@ -202,7 +208,7 @@ def _build(kind: Any, value: Any, where: str) -> Any:
             raise InputError(f"{where} must have {len(kinds)} entries, not {len(value)}")
         return tuple(_build(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
     if origin is Literal:
-        if value not in arguments:
+        if not any(value == known and type(value) is type(known) for known in arguments):  # True == 1 to Python
             raise InputError(f"{where} must be one of {list(arguments)}, not {value!r}")
         return value
     if origin in (Union, types.UnionType):
@@ -222,9 +228,10 @@ def _build_dataclass(kind: Any, value: Any, where: str) -> Any:
     known = {item.name: item for item in dataclasses.fields(kind)}
     if unknown := sorted(set(value) - set(known)):
         raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")
+    # Others have defaults: a field that a later version adds must default to what was done before.
+    required = (f for f in known.values() if f.default is f.default_factory is dataclasses.MISSING)
+    if missing := sorted(f.name for f in required if f.name not in value):
+        raise InputError(f"{where} lacks the fields {missing}")
     hints = typing.get_type_hints(kind)
     built = {name: _build(hints[name], item, f"{where}.{name}") for name, item in value.items()}
-    try:
-        return kind(**built)
-    except TypeError as error:
-        raise InputError(f"{where}: {error}") from error
+    return kind(**built)

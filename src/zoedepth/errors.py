@@ -11,6 +11,10 @@ class InputError(ZoeDepthError, ValueError):
     """The caller's file, array or option cannot be used; the message names it and says how to mend it."""
 
 
+class TrainingError(ZoeDepthError):
+    """A training cannot go on; the message says what happened, at which step and with which images."""
+
+
 class MissingExtraError(ZoeDepthError, ImportError):
     """A feature needs an optional dependency that is not installed.
 

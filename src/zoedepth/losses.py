@@ -4,6 +4,8 @@ Predictions and targets are (batch, 1, height, width); masks are boolean and of 
 known. Every loss is a scalar tensor, and 0 (with a gradient of 0) where nothing is known.
 """
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
@@ -85,7 +87,7 @@ def trimmed_absolute_error(residual: Float[Tensor, " pixels"], *, trim: float) -
     """Sum of the smallest (1 - trim) of the absolute residuals, over twice the number of all of them."""
     if not 0 <= trim < 1:
         raise InputError(f"trim must be in [0, 1); it is {trim}")
-    n_kept = int((1 - trim) * residual.numel())
+    n_kept = residual.numel() - math.ceil(trim * residual.numel() - 1e-9)  # 1e-9: 0.9 * 10 is 9, not 9.0000001
     kept = residual.abs().topk(n_kept, largest=False, sorted=False).values
     return kept.sum() / (2 * residual.numel())
 
@@ -97,6 +99,7 @@ def gradient_error(
 
     A difference counts where both neighbours are known; each scale is divided by its number of known pixels.
     """
+    residual = residual.masked_fill(~mask, 0)  # what is unknown may be anything, NaN too
     total = torch.zeros((), dtype=residual.dtype, device=residual.device)
     for scale in range(n_scales):
         r, m = residual[:: 2**scale, :: 2**scale], mask[:: 2**scale, :: 2**scale]

@@ -95,6 +95,8 @@ class Predictor:
         flip_average: predict the mirrored photo too and average; twice the work, smoother edges, and the mirrored
             photo gives the mirrored depth.
         pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts.
+        upsampling: of the depth to the photo's size: "bicubic" as the original's ``infer``, or "bilinear" (corners
+            aligned) as its evaluation.
         device: where to run, "auto" for the best there is; None stays where the model is.
         precision: "bfloat16" runs the model under autocast; the output is float32 either way.
 
@@ -108,15 +110,19 @@ class Predictor:
         *,
         flip_average: bool = True,
         pad: bool = True,
+        upsampling: Literal["bicubic", "bilinear"] = "bicubic",
         device: str | torch.device | None = None,
         precision: Literal["float32", "bfloat16"] = "float32",
     ) -> None:
+        if upsampling not in ("bicubic", "bilinear"):
+            raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
         self.device = model.device if device is None else _device(device)
         self.model = model if self.device == model.device else copy.deepcopy(model).to(self.device)
         self.flip_average = flip_average
         self.pad = pad
+        self.upsampling = upsampling
         self.precision = precision
 
     def __call__(self, image: Any, *, domain: str | None = None) -> DepthMap:
@@ -202,12 +208,9 @@ class Predictor:
     ) -> "_Estimate":
         reduced = torch.autocast(self.device.type, torch.bfloat16) if self.precision == "bfloat16" else nullcontext()
         with reduced:
-            output = self.model(pixels, domain=domain, return_bins=True)
-        centers, probability = output.bin_centers.float(), output.probability.float()
-        mean = (probability * centers).sum(dim=1, keepdim=True)
-        variance = (probability * (centers - mean) ** 2).sum(dim=1, keepdim=True)
+            output = self.model(pixels, domain=domain, return_std=True)
         logits = None if output.domain_logits is None else output.domain_logits.float()
-        return _Estimate(output.depth.float(), variance, output.domain, logits)
+        return _Estimate(output.depth.float(), output.std.float().square(), output.domain, logits)
 
     def _estimate_mirrored(
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
@@ -239,7 +242,7 @@ class Predictor:
         else:
             softmax = estimate.logits[0].softmax(dim=0).tolist()
             probability = {known.name: p for known, p in zip(domains, softmax, strict=True)}
-        depth = self._to_photo_size(estimate.depth, photo.shape[:2], mode="bicubic")
+        depth = self._to_photo_size(estimate.depth, photo.shape[:2], mode=self.upsampling)
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
         depth = depth.clip(domain.min_depth, None)
         std = self._to_photo_size(estimate.variance.sqrt(), photo.shape[:2], mode="bilinear")
@@ -248,7 +251,8 @@ class Predictor:
     def _to_photo_size(self, x: Float[Tensor, "1 1 _ _"], size: tuple[int, int], *, mode: str) -> DepthArray:
         """Resize to the padded photo, and cut the padding off."""
         top, left = self._padding(size)
-        padded = F.interpolate(x, (size[0] + 2 * top, size[1] + 2 * left), mode=mode, align_corners=False)
+        padded_size = (size[0] + 2 * top, size[1] + 2 * left)
+        padded = F.interpolate(x, padded_size, mode=mode, align_corners=mode == "bilinear")
         return np.ascontiguousarray(padded[0, 0, top : top + size[0], left : left + size[1]].cpu().numpy())
 
 

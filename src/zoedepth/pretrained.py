@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
 from zoedepth.config import ModelConfig, from_dict, to_dict
 from zoedepth.errors import InputError
@@ -44,10 +44,10 @@ def load_model(name_or_path: str | Path) -> ZoeDepth:
     if "config" not in metadata:
         raise InputError(f"{path} has no ZoeDepth config in its metadata; write models with zoedepth.save_model")
     try:
-        config = from_dict(ModelConfig, json.loads(metadata["config"]), where=f"config of {path.name}")
-    except json.JSONDecodeError as error:
-        raise InputError(f"the config in {path} is not JSON ({error})") from error
-    model = ZoeDepth(config)
+        config = from_dict(ModelConfig, json.loads(metadata["config"]), where="config")
+        model = ZoeDepth(config)
+    except (ValueError, RuntimeError, TypeError, IndexError, AssertionError) as error:  # timm has many
+        raise InputError(f"the config in {path} makes no model: {error}") from error
     _load_strictly(model, weights, path)
     return model.eval()
 
@@ -59,13 +59,20 @@ def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.
         model: any ZoeDepth.
         path: file to write.
         dtype: of the floating-point weights in the file; they are loaded as float32.
+
+    Raises:
+        InputError: a weight is too large for the dtype.
     """
     weights = {
         name: value.detach().cpu().to(dtype if value.is_floating_point() else value.dtype).contiguous()
         for name, value in model.state_dict().items()
     }
+    state = model.state_dict()
+    if too_large := [name for name in state if state[name].isfinite().all() > weights[name].isfinite().all()]:
+        raise InputError(f"{too_large} have values too large for {dtype}; save the model as torch.float32")
     with atomic_path(Path(path)) as part:
-        save_file(weights, part, metadata={"config": json.dumps(to_dict(model.config))})
+        # Not safetensors' save_file, whose files only their owner may read.
+        part.write_bytes(save(weights, metadata={"config": json.dumps(to_dict(model.config))}))
 
 
 def _find(name_or_path: str | Path) -> Path:

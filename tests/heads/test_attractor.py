@@ -3,8 +3,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-
 from tests.heads.base import CHANNELS, DOMAIN, HeadTester, build_head, decoder_features
+
 from zoedepth.config import AttractorConfig
 from zoedepth.heads.attractor import AttractorHead, AttractorLayer, normed_centers
 
@@ -56,7 +56,9 @@ def test_attractors_of_softplus_centers_are_positive_metres():
     points = layer(x)
     assert points.shape == (2, 3, 4, 4)
     for b, k in [(0, 0), (1, 2)]:
-        assert points[b, k, 1, 2].item() == pytest.approx(math.log1p(math.exp(layer.mlp(x)[b, k, 1, 2].item())), abs=1e-6)
+        assert points[b, k, 1, 2].item() == pytest.approx(
+            math.log1p(math.exp(layer.mlp(x)[b, k, 1, 2].item())), abs=1e-6
+        )
 
 
 @pytest.mark.parametrize("ratio", [True, False])

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from zoedepth.config import EncoderConfig, ModelConfig
+from zoedepth.errors import InputError
 from zoedepth.model.beit import BeitNetwork, resize_position_table
 
 
@@ -110,7 +111,7 @@ def test_every_weight_is_used(network: BeitNetwork):
 
 
 def test_tap_beyond_the_last_block_is_an_error(tiny_config: ModelConfig):
-    with pytest.raises(ValueError, match=r"tap 9 .* 4 blocks"):
+    with pytest.raises(InputError, match=r"tap 9 .* 4 blocks"):
         BeitNetwork(replace(tiny_config.encoder, taps=(0, 1, 2, 9)))
 
 

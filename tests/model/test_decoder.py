@@ -53,7 +53,9 @@ def pyramid_features(size: tuple[int, int], *, batch: int = 2) -> EncoderFeature
 @pytest.mark.parametrize("output_stride", [1, 2])
 @pytest.mark.parametrize("size", [(32, 32), (64, 96), (160, 32)])
 @pytest.mark.parametrize("kind", ["tokens", "pyramid"])
-def test_maps_have_the_published_strides_and_the_channels_announced(kind: str, size: tuple[int, int], output_stride: int):
+def test_maps_have_the_published_strides_and_the_channels_announced(
+    kind: str, size: tuple[int, int], output_stride: int
+):
     if kind == "tokens":
         decoder, features = token_decoder(output_stride=output_stride), token_features(size)
     else:
@@ -79,7 +81,10 @@ def test_last_map_and_relative_depth_are_not_negative():
 
 
 def test_gradients_reach_every_parameter():
-    for decoder, features in ((token_decoder(), token_features((64, 64))), (pyramid_decoder(), pyramid_features((64, 64)))):
+    for decoder, features in (
+        (token_decoder(), token_features((64, 64))),
+        (pyramid_decoder(), pyramid_features((64, 64))),
+    ):
         torch.nn.init.constant_(decoder.relative_head.conv3.bias, 1.0)  # so that its ReLU is open
         decoder(features).relative.square().mean().backward()
         assert [name for name, p in decoder.named_parameters() if p.grad is None or not p.grad.any()] == []
@@ -136,7 +141,10 @@ def test_reassemble_joins_the_class_token_to_every_token():
 )
 def test_reassemble_resamples_as_published(output_stride: int, weight: tuple[int, ...] | None):
     reassemble = Reassemble(6, 8, stride=16, output_stride=output_stride)
-    assert reassemble(torch.randn(1, 6, 4, 6), torch.randn(1, 6)).shape[-2:] == (64 // output_stride, 96 // output_stride)
+    assert reassemble(torch.randn(1, 6, 4, 6), torch.randn(1, 6)).shape[-2:] == (
+        64 // output_stride,
+        96 // output_stride,
+    )
     assert getattr(reassemble.resample, "weight", torch.empty(0)).shape == (weight or (0,))
 
 

@@ -46,8 +46,8 @@ def split_routes(model: ZoeDepth, pixels: torch.Tensor) -> list[int]:
 
 @pytest.mark.parametrize("size", [(64, 64), (32, 32), (32, 96), (160, 64)])
 def test_outputs_have_the_size_of_the_input(tiny_model: ZoeDepth, size: tuple[int, int]):
-    output = tiny_model(photos(2, size), return_bins=True)
-    assert output.depth.shape == output.relative.shape == (2, 1, *size)
+    output = tiny_model(photos(2, size), return_std=True, return_bins=True)
+    assert output.depth.shape == output.relative.shape == output.std.shape == (2, 1, *size)
     assert output.bin_centers.shape == output.probability.shape == (2, 8, *size)
     assert output.domain.shape == (2,)
     assert output.domain_logits.shape == (2, 2)
@@ -60,12 +60,24 @@ def test_bins_come_only_on_request(tiny_model: ZoeDepth):
     assert without.bin_centers is None
     assert without.probability is None
     assert torch.equal(with_bins.depth, without.depth)
+    assert with_bins.std is None
     expected = (with_bins.probability * with_bins.bin_centers).sum(dim=1, keepdim=True)
     assert torch.allclose(with_bins.depth, expected, atol=1e-5)
 
 
+def test_std_is_that_of_the_bins_and_comes_only_on_request(tiny_model: ZoeDepth):
+    output = tiny_model(photos(1, (32, 32)), return_std=True, return_bins=True)
+    centers, probability = output.bin_centers[0, :, 9, 20].tolist(), output.probability[0, :, 9, 20].tolist()
+    mean = sum(p * c for p, c in zip(probability, centers, strict=True))
+    variance = sum(p * (c - mean) ** 2 for p, c in zip(probability, centers, strict=True))
+    assert output.std[0, 0, 9, 20].item() == pytest.approx(variance**0.5, rel=1e-3)
+    assert tiny_model(photos(1, (32, 32))).std is None
+
+
 def test_half_resolution_decoder_still_answers_at_the_size_of_the_input(tiny_config: ModelConfig):
-    output = build(replace(tiny_config, decoder=replace(tiny_config.decoder, output_stride=2)))(photos(), return_bins=True)
+    output = build(replace(tiny_config, decoder=replace(tiny_config.decoder, output_stride=2)))(
+        photos(), return_bins=True
+    )
     assert output.depth.shape == output.relative.shape == (4, 1, 64, 64)
     assert output.probability.shape == (4, 8, 64, 64)
     assert torch.allclose(output.probability.sum(dim=1), torch.ones(4, 64, 64), atol=1e-5)
@@ -98,6 +110,7 @@ def test_bfloat16_autocast_is_finite_and_close(tiny_config: ModelConfig):
     assert ((half - exact).abs() / exact).mean() < 0.02
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     ("pixels", "message"),
     [
@@ -118,6 +131,7 @@ def test_pixels_that_cannot_be_used_are_an_error_that_says_why(
         tiny_model(pixels)
 
 
+@pytest.mark.usefixtures("unchecked_types")
 @pytest.mark.parametrize(
     "domain",
     [
@@ -137,7 +151,9 @@ def test_domains_that_cannot_be_used_are_an_error(tiny_model: ZoeDepth, domain: 
 
 # --- encoders ---------------------------------------------------------------------------------------------------------
 
-SWIN = EncoderConfig("swinv2_tiny_window16_256", "swin", size=(64, 64), width=24, depth=(1, 1, 2, 1), heads=(1, 2, 4, 8))
+SWIN = EncoderConfig(
+    "swinv2_tiny_window16_256", "swin", size=(64, 64), width=24, depth=(1, 1, 2, 1), heads=(1, 2, 4, 8)
+)
 
 
 def test_swin_takes_one_size_only(tiny_config: ModelConfig):
@@ -147,7 +163,9 @@ def test_swin_takes_one_size_only(tiny_config: ModelConfig):
         model(photos(1, (64, 96)))
 
 
-@pytest.mark.parametrize("encoder", [SWIN, ENCODERS["tf_efficientnet_lite0"], None], ids=["swin", "efficientnet", "beit"])
+@pytest.mark.parametrize(
+    "encoder", [SWIN, ENCODERS["tf_efficientnet_lite0"], None], ids=["swin", "efficientnet", "beit"]
+)
 def test_gradients_reach_every_part(tiny_config: ModelConfig, encoder: EncoderConfig | None):
     model = build(replace(tiny_config, head=MEAN, encoder=encoder or tiny_config.encoder))
     output = model(photos(), domain=torch.tensor([0, 1, 0, 1]))
@@ -177,9 +195,9 @@ def test_batch_that_routes_differently_equals_its_images_alone(tiny_config: Mode
     assert set(heads) == {0, 1}
     assert heads not in (sorted(heads), sorted(heads, reverse=True)), "the order of the batch is not that of the heads"
     with torch.no_grad():
-        together = model(pixels, return_bins=True)
+        together = model(pixels, return_std=True, return_bins=True)
         for i in range(5):
-            alone = model(pixels[i : i + 1], return_bins=True)
+            alone = model(pixels[i : i + 1], return_std=True, return_bins=True)
             assert alone.domain.item() == together.domain[i].item()
             for one, all_of_them in zip(alone, together, strict=True):
                 assert torch.allclose(one[0], all_of_them[i], atol=1e-5)

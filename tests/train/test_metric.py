@@ -15,8 +15,7 @@ from tests.folders import write_pairs
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample
-from zoedepth.errors import InputError
-from zoedepth.evaluation.evaluate import predict_depth
+from zoedepth.errors import InputError, TrainingError
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
@@ -87,7 +86,9 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
         checkpoint_every=1000,
         optim=OptimConfig(learning_rate=5e-3, encoder_factor=1.0, warmup=0.2, initial_division=10, clip=1.0),
     )
-    one_of_each = {name: write_pairs(tmp_path / name, n=1, domain=name) for name in ("indoor", "outdoor")}
+    one_of_each = {
+        name: write_pairs(tmp_path / name, n=1, size=(64, 64), domain=name) for name in ("indoor", "outdoor")
+    }
 
     last = train_metric(config, data=one_of_each, out=tmp_path / "out", start=None)
 
@@ -99,18 +100,18 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
     model = load_model(last)
     for index, path in enumerate(one_of_each.values()):
         sample = PairDataset(path)[0]
-        depth, domain = predict_depth(model, sample.image, flip_average=False)
-        known = sample.mask[0].numpy()
-        truth = sample.target[0].numpy()[known]
-        assert domain == index
-        assert abs(depth[known] / truth - 1).mean() < 0.25
+        with torch.no_grad():
+            output = model(sample.image[None])
+        error = (output.depth[0][sample.mask] / sample.target[sample.mask] - 1).abs().mean()
+        assert output.domain.item() == index
+        assert error < 0.4  # all 0.7 m, as at the start, is 0.7 to 0.98
 
 
 def test_loss_terms_are_those_of_the_batch() -> None:
     depth = torch.full((2, 1, 4, 4), 2.0)
     target = torch.full((2, 1, 4, 4), 1.0)
     logits = torch.tensor([[0.0, 0.0], [0.0, 0.0]])
-    output = DepthOutput(depth, depth, torch.tensor([0, 1]), logits, None, None)
+    output = DepthOutput(depth, depth, torch.tensor([0, 1]), logits, std=None, bin_centers=None, probability=None)
     batch = Batch(torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), ["a", "b"])
 
     terms = metric_losses(output, batch, domain_weight=3.0)
@@ -299,7 +300,7 @@ def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_int
         return dataclasses.replace(sample, image=sample.image * float("nan")) if fourth_step else sample
 
     read(monkeypatch, spoil)
-    with pytest.raises(FloatingPointError, match="step 4") as raised:
+    with pytest.raises(TrainingError, match="step 4") as raised:
         train_metric(config, data=data, out=tmp_path, start=None)
 
     assert all(name in str(raised.value) for name in names[6:8])

@@ -11,6 +11,7 @@ columns are left alone.
 """
 
 import csv
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,8 +54,11 @@ class PairDataset(Dataset[Sample]):
         if not self.path.is_file():
             columns = "image,depth,depth_scale,domain"
             raise InputError(f"there is no {self.path}; give a CSV file with the columns {columns}")
-        with self.path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(file))
+        try:
+            with self.path.open(newline="", encoding="utf-8-sig") as file:  # -sig: spreadsheets write a mark first
+                rows = list(csv.DictReader(file))
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise InputError(f"{self.path} is not a CSV file in UTF-8 ({error})") from error
         self.pairs = [_parse(row, self.path, line) for line, row in enumerate(rows, start=2)]
         if not self.pairs:
             raise InputError(f"{self.path} lists no pairs")
@@ -109,8 +113,8 @@ def _parse(row: dict[str, str], path: Path, line: int) -> Pair:
         scale = float(row["depth_scale"]) if kind == "depth" else 1.0
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}, line {line}: depth_scale must be the stored value of one metre") from error
-    if not scale > 0:
-        raise InputError(f"{path}, line {line}: depth_scale must be > 0; it is {scale}")
+    if not 0 < scale < math.inf:
+        raise InputError(f"{path}, line {line}: depth_scale must be finite and > 0; it is {scale}")
     for name in (row["image"], row[kind]):
         # A list is data from elsewhere: it may not reach out of its folder.
         if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -122,9 +126,9 @@ def _read_png(path: Path) -> np.ndarray:
     """The stored values of a single-channel 8- or 16-bit PNG, (height, width)."""
     try:
         with Image.open(path, formats=["PNG"]) as picture:
-            values = np.asarray(picture)
+            mode, values = picture.mode, np.asarray(picture)
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"{path} is not a readable PNG ({error})") from error
-    if values.ndim != 2 or values.dtype == bool:
-        raise InputError(f"{path} must be a PNG of one channel of 8 or 16 bits; it is {values.dtype} {values.shape}")
+    if values.ndim != 2 or mode in ("1", "P"):
+        raise InputError(f"{path} must be a PNG of one channel of 8 or 16 bits; it is of mode {mode!r}")
     return values

@@ -43,6 +43,11 @@ class HeadOutput(NamedTuple):
     """Metres."""
     probability: Float[Tensor, "batch bins height width"]
 
+    def std(self) -> Float[Tensor, "batch 1 height width"]:
+        """Metres: standard deviation of the distribution."""
+        squares = (self.probability * (self.bin_centers - self.depth).square()).sum(dim=1, keepdim=True)
+        return squares.sqrt()
+
 
 def inverse_attractor(distance: Tensor, *, alpha: float, gamma: float) -> Tensor:
     """Eq. 2 for one attractor: (a_k - c_i) / (1 + alpha |a_k - c_i| ** gamma), given the distance a_k - c_i."""
@@ -171,8 +176,7 @@ class AttractorHead(nn.Module):
                 kind=config.kind, reduce=config.reduce, alpha=config.alpha, gamma=config.gamma,
             )  # fmt: skip
             previous = embedding
-        if config.centers == "normed":
-            centers = self._to_metres(centers)
+        centers = self._to_metres(centers)
         size = embeddings.last.shape[-2:]
         inputs = [embeddings.last, embeddings.relative] if config.relative_input else [embeddings.last]
         probability = self.probability(torch.cat([*inputs, upsample(previous, size)], dim=1))
@@ -183,10 +187,13 @@ class AttractorHead(nn.Module):
         """Seed centers: metres (softplus), or fractions of the depth range (normed)."""
         return normed_centers(F.relu(x) + _EPS) if self.config.centers == "normed" else F.softplus(x)
 
-    def _to_metres(self, fractions: Tensor) -> Tensor:
-        """Normed centers after the last level, sorted and inside the depth range."""
+    def _to_metres(self, centers: Tensor) -> Tensor:
+        """The centers after the last level: normed ones sorted and inside the depth range, others positive."""
         low, high = self.domain.min_depth, self.domain.max_depth
-        return (low + (high - low) * fractions).sort(dim=1).values.clamp(low, high)
+        if self.config.centers == "normed":
+            return (low + (high - low) * centers).sort(dim=1).values.clamp(low, high)
+        # A mean of pulls stays among the points, which are positive; a sum may overshoot below zero.
+        return centers.clamp(min=low) if self.config.reduce == "sum" else centers
 
     def _spread_centers(self) -> None:
         """Start with seed centers, and the attractors, spread geometrically over the depth range (from 5 % of it)."""

@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.config import EncoderConfig
+from zoedepth.errors import InputError
 
 PATCH = 16
 """Side of a patch, pixels: the stride of the tokens."""
@@ -35,7 +36,7 @@ class BeitNetwork(nn.Module):
             **{name: value for name, value in overrides.items() if value is not None},
         )
         if config.taps[-1] >= len(network.blocks):
-            raise ValueError(f"tap {config.taps[-1]} of {config.name}, which has {len(network.blocks)} blocks")
+            raise InputError(f"tap {config.taps[-1]} of {config.name}, which has {len(network.blocks)} blocks")
         self.taps = config.taps
         self.native_grid = (config.size[0] // PATCH, config.size[1] // PATCH)
         self.patch_embed: nn.Module = network.patch_embed.proj

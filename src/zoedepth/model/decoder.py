@@ -159,6 +159,8 @@ class RelativeHead(nn.Module):
         self.conv1 = nn.Conv2d(width, width // 2, kernel_size=3, padding=1)
         self.conv2 = nn.Conv2d(width // 2, features, kernel_size=3, padding=1)
         self.conv3 = nn.Conv2d(features, 1, kernel_size=1)
+        # A ReLU ends the head: were the first relative depth negative everywhere, its gradient would be 0 for ever.
+        nn.init.constant_(self.conv3.bias, 0.5)  # type: ignore[arg-type]  # there is a bias
 
     def forward(
         self, x: Float[Tensor, "batch width _ _"]

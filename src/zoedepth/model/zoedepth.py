@@ -26,6 +26,8 @@ class DepthOutput(NamedTuple):
     """Index in ``config.domains`` of the head each image took."""
     domain_logits: Float[Tensor, "batch domains"] | None
     """The router's scores; None where nothing was to be decided."""
+    std: Float[Tensor, "batch 1 height width"] | None
+    """Metres: standard deviation of the bin distribution, of which depth is the mean; on request."""
     bin_centers: Float[Tensor, "batch bins height width"] | None
     """Metres; on request."""
     probability: Float[Tensor, "batch bins height width"] | None
@@ -63,6 +65,7 @@ class ZoeDepth(nn.Module):
         pixels: Float[Tensor, "batch 3 height width"],
         *,
         domain: Int[Tensor, " batch"] | None = None,
+        return_std: bool = False,
         return_bins: bool = False,
     ) -> DepthOutput:
         """Depth of a batch; an image's result does not depend on the others in its batch.
@@ -70,12 +73,13 @@ class ZoeDepth(nn.Module):
         Args:
             pixels: RGB in [0, 1]; sides are multiples of ``config.multiple``. Normalised here, not by the caller.
             domain: index in ``config.domains`` of the head each image takes; None leaves it to the router.
+            return_std: also return the standard deviation of the bin distribution.
             return_bins: also return the bin centers and their probabilities.
 
         Raises:
             InputError: wrong shape or size, or a labeled router without labels.
         """
-        self._check(pixels)
+        self._check(pixels, domain)
         size = pixels.shape[-2:]
         features = self.shared(self.relative_features(pixels))
         routing = self.router(features.bottleneck, domain)
@@ -85,7 +89,8 @@ class ZoeDepth(nn.Module):
             upsample(features.relative, size),
             routing.domain,
             routing.logits,
-            # On request only: they are as large as n_bins depth maps each.
+            upsample(_stitch([output.std() for output in outputs], order), size) if return_std else None,
+            # As large as n_bins depth maps each.
             upsample(_stitch([output.bin_centers for output in outputs], order), size) if return_bins else None,
             upsample(_stitch([output.probability for output in outputs], order), size) if return_bins else None,
         )
@@ -102,7 +107,7 @@ class ZoeDepth(nn.Module):
         outputs = [head(_take(features, rows)) for head, rows in zip(self.heads, groups, strict=True) if len(rows)]
         return outputs, torch.cat(groups).argsort()
 
-    def _check(self, pixels: Tensor) -> None:
+    def _check(self, pixels: Tensor, domain: Tensor | None) -> None:
         if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point():
             raise InputError(
                 f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {tuple(pixels.shape)}"
@@ -114,6 +119,14 @@ class ZoeDepth(nn.Module):
             raise InputError(
                 f"the sides of pixels must be multiples of {config.multiple}; got {size}. "
                 "Use zoedepth.Predictor, which resizes, or zoedepth.sizes.network_size"
+            )
+        if domain is None:
+            return
+        n_domains = len(config.domains)
+        integers = domain.dtype in (torch.int64, torch.int32)
+        if not integers or domain.shape != pixels.shape[:1] or not ((domain >= 0) & (domain < n_domains)).all():
+            raise InputError(
+                f"domain must hold {len(pixels)} integers, one an image, from 0 to {n_domains - 1}; got {domain}"
             )
 
 

@@ -19,7 +19,8 @@ from zoedepth.data import augment
 from zoedepth.data.mix import Mixture, Positions, Source
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample, collate
-from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.errors import InputError, MissingExtraError, TrainingError
+from zoedepth.images import atomic_path
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.optim import build_optimizer, set_rates
@@ -104,17 +105,17 @@ class Run:
         """Backward, clip, optimizer step, moving average; returns the norm of the gradients before clipping.
 
         Raises:
-            FloatingPointError: the loss is NaN or infinite; the images are named, the last checkpoint is intact.
+            TrainingError: loss or gradients are not finite; the images are named, the last checkpoint is intact.
         """
         if not math.isfinite(loss.item()):
-            raise FloatingPointError(
-                f"the loss is {loss.item()} at step {self.state.step + 1}; the images were {batch.names}. "
-                "Check their depth, or lower optim.learning_rate. The last checkpoint is intact"
-            )
+            raise TrainingError(self._explain("loss", loss, batch))
         self.fabric.backward(loss)
         norm = self.fabric.clip_gradients(
             self.network, self.optimizer, max_norm=self.config.optim.clip, error_if_nonfinite=False
         )
+        # Half precision's loss scaling meets infinite gradients and skips the step; elsewhere they would end the run.
+        if self.config.precision != "16-mixed" and not math.isfinite(float(cast(torch.Tensor, norm))):
+            raise TrainingError(self._explain("gradient", norm, batch))
         self.optimizer.step()
         self.optimizer.zero_grad()
         if self.state.ema is not None:
@@ -122,7 +123,7 @@ class Run:
         self.state.step += 1
         return float(cast(torch.Tensor, norm))
 
-    def report(self, numbers: Mapping[str, torch.Tensor | float]) -> None:
+    def report(self, numbers: Mapping[str, float]) -> None:
         """Log, validate and write a checkpoint, each when its step has come."""
         config, step = self.config, self.state.step
         last = step == config.steps
@@ -134,6 +135,12 @@ class Run:
             self._log.write(step, validate(self.state.result, self.validation))
         if step % config.checkpoint_every == 0 or last:
             self.state.save(self.out, config)
+
+    def _explain(self, what: str, value: object, batch: Batch) -> str:
+        return (
+            f"the {what} is {float(cast(torch.Tensor, value))} at step {self.state.step + 1}; the images were "
+            f"{batch.names}. Check their depth, or lower optim.learning_rate. The last checkpoint is intact"
+        )
 
     def _build_loader(self, training: list[tuple[SourceConfig, "Subset[Sample]"]]) -> Iterable[Batch]:
         config, fabric = self.config, self.fabric
@@ -156,6 +163,8 @@ class Run:
             batch_sampler=positions,
             num_workers=config.n_workers,
             collate_fn=partial(collate, domains=domains),
+            # Its own: what a loader draws from the global generator would differ after a resume.
+            generator=torch.Generator(),
             prefetch_factor=4 if config.n_workers else None,
         )
         return cast(Iterable[Batch], fabric.setup_dataloaders(loader, use_distributed_sampler=False))
@@ -175,8 +184,8 @@ def load_sources(
     if not data:
         raise InputError(f"no data: give --data NAME=PATH for one or more of {sorted(known)}")
     training, validation = [], {}
-    for name, path in data.items():
-        dataset = PairDataset(path, split="train")
+    for name in (source.name for source in config.sources if source.name in data):  # not the order of the command line
+        dataset = PairDataset(data[name], split="train")
         if config.stage == "metric" and "disparity" in dataset.kinds:
             raise InputError(f"{dataset.path} has disparity; stage 2 needs depth in metres")
         domains = {domain.name for domain in config.model.domains}
@@ -304,5 +313,13 @@ class Log:
         """A run resumed from an earlier step repeats the steps logged after it: drop them."""
         if self._jsonl.is_file():
             lines = self._jsonl.read_text(encoding="utf-8").splitlines()
-            kept = [line for line in lines if json.loads(line)["step"] <= step]
-            self._jsonl.write_text("".join(f"{line}\n" for line in kept), encoding="utf-8")
+            with atomic_path(self._jsonl) as part:
+                part.write_text("".join(f"{line}\n" for line in lines if _logged_step(line) <= step), encoding="utf-8")
+
+
+def _logged_step(line: str) -> float:
+    """The step of a line of the log; infinite for a line that a kill has cut off."""
+    try:
+        return json.loads(line)["step"]
+    except ValueError:
+        return math.inf

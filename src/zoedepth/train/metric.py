@@ -29,7 +29,7 @@ def train_metric(
             output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
             terms = metric_losses(output, batch, domain_weight=config.domain_weight)
             norm = run.step(torch.stack(list(terms.values())).sum(), batch)
-            run.report({**terms, "gradient_norm": norm})
+            run.report({**{name: term.item() for name, term in terms.items()}, "gradient_norm": norm})
         return run.last_checkpoint
 
 

@@ -46,5 +46,5 @@ def train_relative(
                 relative, batch.target, batch.mask, trim=config.trim, gradient_weight=config.gradient_weight
             )
             norm = run.step(loss, batch)
-            run.report({"ssi": loss, "gradient_norm": norm})
+            run.report({"ssi": loss.item(), "gradient_norm": norm})
         return run.last_checkpoint

@@ -72,10 +72,8 @@ class TrainState:
         """
         try:
             meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
-            saved = from_dict(TrainConfig, meta["config"])
+            saved = from_dict(TrainConfig, meta["config"], where="config")
             values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
-        except InputError:
-            raise
         except Exception as error:  # any damage of any of the two files
             raise InputError(f"cannot resume from {checkpoint}: {error}") from error
         harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every"}
@@ -86,17 +84,21 @@ class TrainState:
         ]
         if differing:
             raise InputError(f"cannot resume {checkpoint}: its {differing} differ; use another --out for another run")
-        self.model.load_state_dict(values["model"])
-        self.optimizer.load_state_dict(values["optimizer"])
-        if self.ema is not None:
-            self.ema.load_state_dict(values["ema"])
-        torch.set_rng_state(values["rng"])
-        self.step = int(meta["step"])
+        try:
+            self.model.load_state_dict(values["model"])
+            self.optimizer.load_state_dict(values["optimizer"])
+            if self.ema is not None:
+                self.ema.load_state_dict(values["ema"])
+            torch.set_rng_state(values["rng"])
+            self.step = int(meta["step"])
+        except (RuntimeError, KeyError, TypeError, ValueError) as error:
+            raise InputError(f"cannot resume from {checkpoint}, its state does not fit: {error}") from error
 
 
 def checkpoints(folder: Path) -> list[Path]:
     """The finished checkpoints in a run's folder, oldest first."""
-    return sorted(path for path in folder.glob("step_*") if (path / "meta.json").is_file())
+    finished = [path for path in folder.glob("step_[0-9]*") if (path / "meta.json").is_file()]
+    return sorted(finished, key=lambda path: int(path.name.removeprefix("step_")))
 
 
 def averaged(model: nn.Module, decay: float | None) -> AveragedModel | None:

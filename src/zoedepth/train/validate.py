@@ -18,9 +18,10 @@ def validate(model: ZoeDepth, validation: Mapping[str, Samples]) -> dict[str, fl
     for name, subset in validation.items():
         samples = [subset[i] for i in range(len(subset))]
         scores = list(evaluate(model, samples, protocol_of(samples[0].domain)))
-        metrics = mean_metrics([score.metrics for score in scores if score.metrics is not None])
-        for metric in ("rel", "rmse", "delta1"):
-            numbers[f"validation/{name}/{metric}"] = asdict(metrics)[metric]
+        scored = [score.metrics for score in scores if score.metrics is not None]
+        if scored:  # sparse depth may have no pixel inside the crop
+            means = asdict(mean_metrics(scored))
+            numbers |= {f"validation/{name}/{metric}": means[metric] for metric in ("rel", "rmse", "delta1")}
         if len(model.config.domains) > 1:
             right = [score.domain == sample.domain for score, sample in zip(scores, samples, strict=True)]
             numbers[f"validation/{name}/router"] = sum(right) / len(right)

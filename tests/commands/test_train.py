@@ -1,0 +1,164 @@
+"""``zoedepth train``: recipes by name, every field from the command line, and the folder of the run."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.folders import write_disparity_pairs, write_pairs
+
+from zoedepth.cli import main
+from zoedepth.config import ModelConfig
+from zoedepth.pretrained import load_model
+from zoedepth.recipes import RECIPES
+from zoedepth.train.config import SourceConfig, TrainConfig
+
+
+@pytest.fixture
+def tiny_recipe(monkeypatch: pytest.MonkeyPatch, tiny_config: ModelConfig) -> Callable[[str], None]:
+    """Adds the recipe "tiny" of a stage."""
+
+    def add(stage: str) -> None:
+        config = TrainConfig(
+            stage=stage,  # type: ignore[arg-type]
+            model=tiny_config,
+            sources=(SourceConfig("indoor"), SourceConfig("outdoor"), SourceConfig("relative")),
+            steps=100,
+            batch_size=2,
+            precision="32-true",
+            n_workers=0,
+            seed=3,
+        )
+        monkeypatch.setitem(RECIPES, "tiny", lambda: config)
+
+    return add
+
+
+def saved_config(checkpoint: Path) -> dict:
+    return json.loads((checkpoint / "meta.json").read_text())["config"]
+
+
+def test_fields_of_the_recipe_are_overridden_and_the_last_checkpoint_is_printed(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=2)
+    write_pairs(tmp_path / "street", n=1, domain="outdoor")
+    out = tmp_path / "out"
+    arguments = ["train", "tiny", "--data", f"indoor={indoor}", f"outdoor={tmp_path / 'street'}", "--out", str(out)]
+    overrides = [
+        "--config.steps", "2", "--config.optim.learning-rate", "0.002", "--config.ema-decay", "0.5",
+        "--config.no-route-by-label", "--config.model.head.alpha", "1.5",
+    ]  # fmt: skip
+
+    assert main([*arguments, *overrides]) == 0
+
+    last = out / "step_000002"
+    assert capsys.readouterr().out.splitlines()[-1] == str(last)
+    config = saved_config(last)
+    assert config["steps"] == 2
+    assert config["optim"]["learning_rate"] == 0.002
+    assert config["ema_decay"] == 0.5
+    assert config["route_by_label"] is False
+    assert config["batch_size"] == 2
+    assert load_model(last).config.head.alpha == 1.5
+
+
+def test_first_stage_result_starts_the_second(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("relative")
+    stills = write_disparity_pairs(tmp_path / "relative", n=1)
+    arguments = ["train", "tiny", "--config.steps", "1"]
+    assert main([*arguments, "--data", str(stills), "--out", str(tmp_path / "first")]) == 0
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1)
+    first = tmp_path / "first" / "step_000001"
+    second = ["--data", str(indoor), "--out", str(tmp_path / "second"), "--start", str(first)]
+    assert main([*arguments, *second]) == 0
+    assert str(first) in capsys.readouterr().out
+
+
+def test_typed_again_the_run_goes_on_and_with_other_values_it_is_refused(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1)
+    arguments = ["train", "tiny", "--data", str(indoor), "--out", str(tmp_path / "out"), "--config.steps"]
+    assert main([*arguments, "1"]) == 0
+    before = (tmp_path / "out" / "step_000001" / "train.pt").read_bytes()
+    capsys.readouterr()
+    assert main([*arguments, "1"]) == 0
+    assert (tmp_path / "out" / "step_000001" / "train.pt").read_bytes() == before
+    assert main([*arguments, "2"]) == 2
+    assert "'steps'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["-h"]])
+def test_help_lists_the_recipes(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", *arguments]) == 0
+    output = capsys.readouterr().out
+    assert all(name in output for name in RECIPES)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_help_of_a_recipe_lists_its_fields(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", name, "--help"])
+    assert stopped.value.code == 0
+    output = capsys.readouterr().out
+    for field in ("--data", "--out", "--start", "--config.steps", "--config.optim.learning-rate"):
+        assert field in output
+
+
+def test_without_a_recipe_it_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train"]) == 2
+    output = capsys.readouterr()
+    assert all(name in output.out + output.err for name in RECIPES)
+
+
+def test_wrong_recipe_data_and_start_are_errors_in_one_line(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1)
+    out = ["--out", str(tmp_path / "out"), "--config.steps", "1"]
+
+    def error(*arguments: str) -> str:
+        assert main(["train", *arguments]) == 2
+        return capsys.readouterr().err
+
+    assert "'tinny'" in error("tinny", "--data", str(indoor), *out)
+    assert "nyu" in error("tiny", "--data", f"nyu={indoor}", *out)
+    assert "nowhere" in error("tiny", "--data", f"indoor={tmp_path / 'nowhere'}", *out)
+    assert "zoed-light" in error("tiny", "--data", str(indoor), *out, "--start", "zoed-light")
+    assert "steps" in error("tiny", "--data", str(indoor), "--out", str(tmp_path), "--config.steps", "0")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["--no-such-flag", "1"], ["--config.no-such-field", "1"], ["--config.steps", "many"], ["--config.stage", "both"]],
+)
+def test_unknown_flags_and_values_are_errors_that_name_them(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    tiny_recipe("metric")
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "tiny", "--data", "a=b", "--out", str(tmp_path / "out"), *arguments])
+    assert stopped.value.code == 2
+    assert arguments[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("missing", ["--data", "--out"])
+def test_data_and_out_must_be_given(
+    tiny_recipe: Callable[[str], None], missing: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    given = {"--data": ["--data", "a=b"], "--out": ["--out", "out"]}
+    del given[missing]
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "tiny", *(word for words in given.values() for word in words)])
+    assert stopped.value.code == 2
+    assert missing in capsys.readouterr().err

@@ -1,0 +1,307 @@
+"""Reading every kind of photo, refusing every kind of rubbish, and depth files that round-trip."""
+
+import io
+import struct
+import threading
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
+from zoedepth.images import (
+    PNG_MAX,
+    atomic_path,
+    png_scale,
+    read_depth,
+    read_image,
+    to_image,
+    write_depth,
+    write_depth_png,
+    write_image,
+)
+
+
+@pytest.fixture
+def photo() -> np.ndarray:
+    """uint8 (5, 7, 3), every pixel another colour."""
+    return np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+
+
+def saved(picture: Image.Image, path: Path, **options: object) -> Path:
+    picture.save(path, **options)
+    return path
+
+
+class TestReadImage:
+    def test_rgb(self, photo: np.ndarray, tmp_path: Path) -> None:
+        path = saved(Image.fromarray(photo), tmp_path / "photo.png")
+        np.testing.assert_array_equal(read_image(path), photo)
+        np.testing.assert_array_equal(read_image(str(path)), photo)
+        np.testing.assert_array_equal(read_image(io.BytesIO(path.read_bytes())), photo)
+
+    def test_alpha_is_dropped(self, photo: np.ndarray, tmp_path: Path) -> None:
+        rgba = np.dstack([photo, np.zeros(photo.shape[:2], np.uint8)])
+        np.testing.assert_array_equal(read_image(saved(Image.fromarray(rgba), tmp_path / "photo.png")), photo)
+
+    @pytest.mark.parametrize("mode", ["L", "LA", "1"])
+    def test_grey_is_repeated(self, photo: np.ndarray, tmp_path: Path, mode: str) -> None:
+        grey = Image.fromarray(photo).convert(mode)
+        image = read_image(saved(grey, tmp_path / "photo.png"))
+        expected = np.asarray(grey.convert("L"))
+        np.testing.assert_array_equal(image, np.repeat(expected[..., None], 3, axis=2))
+
+    @pytest.mark.parametrize(("mode", "suffix"), [("P", ".png"), ("P", ".gif"), ("CMYK", ".tif"), ("YCbCr", ".tif")])
+    def test_other_modes_are_converted(self, photo: np.ndarray, tmp_path: Path, mode: str, suffix: str) -> None:
+        picture = Image.fromarray(photo).convert(mode)
+        path = saved(picture, tmp_path / f"photo{suffix}")
+        np.testing.assert_allclose(read_image(path).astype(int), np.asarray(picture.convert("RGB")), atol=2)
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif"])
+    def test_16_bit_grey_spans_the_whole_range(self, tmp_path: Path, suffix: str) -> None:
+        levels = np.array([[0, 128, 129, 257, 32768, PNG_MAX]], np.uint16)
+        image = read_image(saved(Image.fromarray(levels), tmp_path / f"photo{suffix}"))
+        np.testing.assert_array_equal(image[0, :, 0], [0, 0, 1, 1, 128, 255])
+
+    def test_float_tiff(self, tmp_path: Path) -> None:
+        levels = np.array([[0, 0.5, 1]], np.float32)
+        image = read_image(saved(Image.fromarray(levels), tmp_path / "photo.tif"))
+        np.testing.assert_array_equal(image[0, :, 0], [0, 128, 255])
+        with pytest.raises(InputError, match=r"photo\.tif.*scale floats to \[0, 1\]"):
+            read_image(saved(Image.fromarray(levels * 1000), tmp_path / "photo.tif"))
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif", ".webp"])
+    @pytest.mark.parametrize("orientation", range(1, 9))
+    def test_exif_orientation(self, photo: np.ndarray, tmp_path: Path, orientation: int, suffix: str) -> None:
+        undo = {1: None, 2: 0, 3: 3, 4: 1, 5: 5, 6: 2, 7: 6, 8: 4}[orientation]  # the transpose stored in the file
+        stored = Image.fromarray(photo) if undo is None else Image.fromarray(photo).transpose(Image.Transpose(undo))
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        options = {"lossless": True} if suffix == ".webp" else {}
+        path = saved(stored, tmp_path / f"photo{suffix}", exif=exif, **options)
+        np.testing.assert_array_equal(read_image(path), photo)
+
+    def test_broken_exif_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
+        path = saved(Image.fromarray(photo), tmp_path / "photo.png", exif=b"Exif\x00\x00not a tiff header")
+        np.testing.assert_array_equal(read_image(path), photo)
+
+    @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp", ".tif", ".gif"])
+    @pytest.mark.filterwarnings("ignore::UserWarning:PIL")
+    def test_truncated_anywhere_is_an_input_error(self, tmp_path: Path, suffix: str) -> None:
+        noise = np.random.default_rng(1).integers(0, 256, (60, 60, 3), dtype=np.uint8)
+        whole = saved(Image.fromarray(noise), tmp_path / f"whole{suffix}").read_bytes()
+        path = tmp_path / f"cut{suffix}"
+        for length in (0, 1, 10, len(whole) // 3, len(whole) // 2):
+            path.write_bytes(whole[:length])
+            with pytest.raises(InputError, match="cut"):
+                read_image(path)
+
+    @pytest.mark.filterwarnings("ignore::UserWarning:PIL")
+    def test_damaged_bytes_never_raise_anything_else(self, tmp_path: Path) -> None:
+        rng = np.random.default_rng(2)
+        noise = Image.fromarray(rng.integers(0, 256, (30, 30, 3), dtype=np.uint8))
+        path, n_refused = tmp_path / "damaged", 0
+        for suffix in (".jpg", ".png", ".webp", ".tif", ".gif"):
+            whole = saved(noise, tmp_path / f"whole{suffix}").read_bytes()
+            for _ in range(40):
+                data = np.frombuffer(whole, np.uint8).copy()
+                data[rng.integers(0, len(data), 8)] = rng.integers(0, 256, 8)
+                path.write_bytes(data.tobytes())
+                try:
+                    read_image(path, max_pixels=1_000_000)
+                except InputError:
+                    n_refused += 1
+        assert n_refused > 20
+
+    def test_rubbish(self, tmp_path: Path) -> None:
+        path = tmp_path / "notes.jpg"
+        path.write_text("not an image")
+        with pytest.raises(InputError, match=r"notes\.jpg is not an image in a known format"):
+            read_image(path)
+        with pytest.raises(InputError, match=r"missing\.jpg cannot be opened"):
+            read_image(tmp_path / "missing.jpg")
+        with pytest.raises(InputError, match="cannot be opened"):
+            read_image(tmp_path)
+        with pytest.raises(InputError, match="download it first"):
+            read_image("https://example.org/photo.jpg")
+
+    def test_nothing_is_executed_to_read_a_file(self, tmp_path: Path) -> None:
+        path = tmp_path / "drawing.jpg"  # Pillow would start Ghostscript on EPS, whatever the suffix
+        path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
+        with pytest.raises(InputError, match="not an image"):
+            read_image(path)
+
+    def test_bomb_is_refused_before_it_is_decoded(self, photo: np.ndarray, tmp_path: Path) -> None:
+        def chunk(kind: bytes, data: bytes) -> bytes:
+            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+        header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
+        path = tmp_path / "bomb.png"
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 1000)))
+        with pytest.raises(InputError, match=r"bomb\.png.*resize"):
+            read_image(path)
+        with pytest.raises(InputError, match="over the limit of 34"):
+            read_image(saved(Image.fromarray(photo), tmp_path / "photo.png"), max_pixels=34)
+
+
+class TestToImage:
+    def test_all_ways_in_are_one(self, photo: np.ndarray, tmp_path: Path) -> None:
+        tensor = torch.from_numpy(photo).permute(2, 0, 1)
+        sources = [
+            saved(Image.fromarray(photo), tmp_path / "photo.png"),
+            Image.fromarray(photo),
+            photo,
+            photo / 255,
+            (photo / 255).astype(np.float32),
+            photo.astype(np.uint16) * 257,
+            (photo.astype(np.uint16) * 257).astype(">u2"),
+            np.dstack([photo, photo[..., 0]]),
+            np.asfortranarray(photo)[::-1][::-1],
+            tensor,
+            tensor.float() / 255,
+            (tensor.float() / 255).requires_grad_(),
+        ]
+        for source in sources:
+            image = to_image(source)
+            assert image.dtype == np.uint8
+            assert image.flags.c_contiguous
+            np.testing.assert_array_equal(image, photo)
+
+    def test_bfloat16_and_half_tensors(self, photo: np.ndarray) -> None:
+        tensor = torch.from_numpy(photo).permute(2, 0, 1) / 255
+        for dtype in (torch.bfloat16, torch.float16):
+            np.testing.assert_allclose(to_image(tensor.to(dtype)).astype(int), photo, atol=1)
+
+    def test_grey_arrays(self, photo: np.ndarray) -> None:
+        grey = photo[..., 0]
+        expected = np.repeat(grey[..., None], 3, axis=2)
+        for source in (grey, grey[..., None], torch.from_numpy(grey), torch.from_numpy(grey)[None]):
+            np.testing.assert_array_equal(to_image(source), expected)
+
+    def test_pil_image_with_orientation(self, photo: np.ndarray) -> None:
+        picture = Image.fromarray(photo).transpose(Image.Transpose.ROTATE_90)
+        picture.getexif()[0x0112] = 6
+        np.testing.assert_array_equal(to_image(picture), photo)
+
+    @pytest.mark.parametrize(
+        ("source", "message"),
+        [
+            (np.zeros((2, 3, 4, 3), np.uint8), "shape"),
+            (np.zeros((3, 4, 5), np.uint8), "channels first"),
+            (np.zeros((0, 4, 3), np.uint8), "empty"),
+            (np.zeros((4, 4, 3), np.int64), "int64"),
+            (np.full((4, 4, 3), 255.0), "scale floats"),
+            (np.full((4, 4, 3), np.nan), "scale floats"),
+            (torch.zeros(5, 4, 3), "channels, height, width"),
+            (torch.zeros(2, 3, 4, 5), "Predictor.batch"),
+            (None, "NoneType"),
+            ([[1, 2], [3, 4]], "list"),
+        ],
+    )
+    def test_what_cannot_be_an_image(self, source: object, message: str) -> None:
+        with pytest.raises(InputError, match=message):
+            to_image(source)
+
+    def test_truncated_pil_image(self, tmp_path: Path) -> None:
+        whole = saved(
+            Image.fromarray(np.random.default_rng(1).integers(0, 256, (60, 60, 3), dtype=np.uint8)), tmp_path / "a.jpg"
+        )
+        with pytest.raises(InputError, match="the PIL image"):
+            to_image(Image.open(io.BytesIO(whole.read_bytes()[:2000])))
+
+
+class TestDepthFiles:
+    def test_png_round_trip(self, tmp_path: Path) -> None:
+        depth = np.array([[0.001, 1.2344, 65.535], [2, 3, 9.9999]], np.float32)
+        write_depth_png(tmp_path / "folder" / "depth.png", depth)
+        np.testing.assert_allclose(read_depth(tmp_path / "folder" / "depth.png"), depth, atol=5.1e-4)
+        with Image.open(tmp_path / "folder" / "depth.png") as picture:
+            assert picture.mode == "I;16"
+            assert picture.text["DepthScale"] == "1000"
+            assert picture.text["DepthUnit"] == "metre"
+
+    def test_png_clips_and_never_wraps(self, tmp_path: Path) -> None:
+        depth = np.array([[80, 1e9, 1e-9, 0, -1, np.nan, np.inf, -np.inf]], np.float32)
+        write_depth_png(tmp_path / "depth.png", depth)
+        with Image.open(tmp_path / "depth.png") as picture:
+            np.testing.assert_array_equal(np.asarray(picture), [[PNG_MAX, PNG_MAX, 1, 0, 0, 0, 0, 0]])
+
+    def test_png_scale(self, tmp_path: Path) -> None:
+        assert png_scale(np.array([[65.535]])) == 1000
+        assert png_scale(np.array([[65.6, np.nan]])) == 256
+        assert png_scale(np.array([[np.inf]])) == 1000
+        write_depth_png(tmp_path / "depth.png", np.array([[80.0]]), scale=256)
+        assert read_depth(tmp_path / "depth.png") == 80
+        assert read_depth(tmp_path / "depth.png", scale=512) == 40
+        for scale in (0, -1, np.nan, np.inf):
+            with pytest.raises(InputError, match="scale"):
+                write_depth_png(tmp_path / "depth.png", np.ones((1, 1)), scale=scale)
+
+    @pytest.mark.parametrize("suffix", [".npy", ".npz"])
+    def test_numpy_round_trip(self, tmp_path: Path, suffix: str) -> None:
+        depth = np.random.default_rng(1).random((4, 6)).astype(np.float32)
+        write_depth(tmp_path / f"depth{suffix}", depth, beside={"std": depth / 2})
+        read = read_depth(tmp_path / f"depth{suffix}")
+        assert read.dtype == np.float32
+        np.testing.assert_array_equal(read, depth)
+
+    def test_bad_depth_files(self, photo: np.ndarray, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match="does not say its scale"):
+            read_depth(saved(Image.fromarray(np.ones((2, 2), np.uint16)), tmp_path / "bare.png"))
+        with pytest.raises(InputError, match="not a depth map"):
+            read_depth(saved(Image.fromarray(photo), tmp_path / "photo.png"))
+        (tmp_path / "depth.npz").write_bytes(b"rubbish")
+        for name in ("depth.npz", "missing.npy", "missing.png"):
+            with pytest.raises(InputError, match=name):
+                read_depth(tmp_path / name)
+        np.save(tmp_path / "object.npy", np.array([{"code": 1}]), allow_pickle=True)
+        with pytest.raises(InputError, match="object"):
+            read_depth(tmp_path / "object.npy")
+
+    def test_bad_requests(self, photo: np.ndarray, tmp_path: Path) -> None:
+        with pytest.raises(InputError, match=r"depth\.exr"):
+            write_depth(tmp_path / "depth.exr", np.ones((2, 2)))
+        with pytest.raises(InputError, match="height, width"):
+            write_depth(tmp_path / "depth.npy", np.ones((2, 2, 1)))
+        with pytest.raises(InputError, match=r"picture\.txt"):
+            write_image(tmp_path / "picture.txt", photo)
+        assert not list(tmp_path.iterdir())
+
+
+class TestAtomicPath:
+    def test_nothing_is_left_of_a_failed_write(self, tmp_path: Path) -> None:
+        path = tmp_path / "file.txt"
+        path.write_text("before")
+
+        def fail_half_way() -> None:
+            with atomic_path(path) as temporary:
+                assert temporary.parent == path.parent
+                temporary.write_text("half")
+                raise RuntimeError
+
+        with pytest.raises(RuntimeError):
+            fail_half_way()
+        assert path.read_text() == "before"
+        assert list(tmp_path.iterdir()) == [path]
+
+    def test_writers_do_not_share_a_temporary_file(self, tmp_path: Path) -> None:
+        depths = [np.full((50, 50), index + 1.0, np.float32) for index in range(8)]
+        path = tmp_path / "depth.npy"
+        threads = [threading.Thread(target=write_depth, args=(path, depth)) for depth in depths]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert len(np.unique(read_depth(path))) == 1
+        assert list(tmp_path.iterdir()) == [path]
+
+
+def test_errors_are_one_family() -> None:
+    assert issubclass(InputError, ZoeDepthError)
+    assert issubclass(InputError, ValueError)
+    error = MissingExtraError("demo", "zoedepth demo")
+    assert isinstance(error, ImportError)
+    assert "pip install 'zoedepth[demo]'" in str(error)
