@@ -95,7 +95,7 @@ class TestGeometry:
 
     @pytest.mark.parametrize("pad", [True, False])
     @pytest.mark.parametrize(
-        "size", [(1, 1), (1, 40), (40, 1), (2, 3), (5, 5), (33, 47), (480, 640), (30, 300), (300, 30)]
+        "size", [(1, 1), (1, 40), (40, 1), (2, 3), (5, 5), (33, 47), (480, 640), (24, 120), (120, 24)]
     )
     def test_any_size(self, tiny_model: ZoeDepth, size: tuple[int, int], pad: bool) -> None:
         result = Predictor(tiny_model, pad=pad, flip_average=False)(smooth(size))
@@ -213,10 +213,10 @@ class TestWaysIn:
         assert_same(Predictor(tiny_model)(tmp_path / "photo.png"), Predictor(tiny_model)(photo))
 
     def test_batch_equals_singles(self, tiny_model: ZoeDepth) -> None:
-        sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (20, 200), (50, 71), (1, 1)]
+        sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (30, 90), (50, 71), (1, 1)]
         photos = [smooth(size, seed) for seed, size in enumerate(sizes)]
         predictor = Predictor(tiny_model)
-        for batch_size in (1, 3, 16):
+        for batch_size in (3, 16):
             for photo, result in zip(photos, predictor.batch(photos, batch_size=batch_size), strict=True):
                 np.testing.assert_array_equal(result.image, photo)
                 assert_same(result, predictor(photo), atol=1e-5)

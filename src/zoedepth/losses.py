@@ -31,9 +31,7 @@ def silog(prediction: Map, target: Map, mask: Mask, *, beta: float = 0.15, eps: 
     return 10 * torch.sqrt(g.var() + beta * g.mean() ** 2 + 1e-8)
 
 
-def domain_cross_entropy(
-    logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]
-) -> Float[Tensor, ""]:
+def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:
     """Cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
     return F.cross_entropy(logits.float(), domain)
 

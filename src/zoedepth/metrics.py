@@ -26,9 +26,7 @@ class Metrics:
     """The same below 1.25 ** 3."""
 
 
-def compute_metrics(
-    prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]
-) -> Metrics:
+def compute_metrics(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]) -> Metrics:
     """Errors of the known pixels of one image, both in metres and > 0.
 
     Raises:

@@ -132,13 +132,17 @@ def test_wrong_recipe_data_and_start_are_errors_in_one_line(
     assert "nyu" in error("tiny", "--data", f"nyu={indoor}", *out)
     assert "nowhere" in error("tiny", "--data", f"indoor={tmp_path / 'nowhere'}", *out)
     assert "zoed-light" in error("tiny", "--data", str(indoor), *out, "--start", "zoed-light")
-    assert "steps" in error("tiny", "--data", str(indoor), "--out", str(tmp_path), "--config.steps", "0")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [["--no-such-flag", "1"], ["--config.no-such-field", "1"], ["--config.steps", "many"], ["--config.stage", "both"]],
+    [
+        ["--no-such-flag", "1"],
+        ["--config.no-such-field", "1"],
+        ["--config.steps", "many"],
+        ["--config.stage", "both"],
+    ],
 )
 def test_unknown_flags_and_values_are_errors_that_name_them(
     tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
@@ -148,6 +152,17 @@ def test_unknown_flags_and_values_are_errors_that_name_them(
         main(["train", "tiny", "--data", "a=b", "--out", str(tmp_path / "out"), *arguments])
     assert stopped.value.code == 2
     assert arguments[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_value_that_makes_no_sense_is_an_error_that_says_why(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    with pytest.raises(SystemExit) as stopped:
+        main(["train", "tiny", "--data", "a=b", "--out", str(tmp_path / "out"), "--config.steps", "0"])
+    assert stopped.value.code == 2
+    assert "steps and batch_size" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -3,12 +3,12 @@
 import json
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from zoedepth.commands.data import named_paths
+from zoedepth.errors import InputError
 
 
 def evaluate(
@@ -47,7 +47,9 @@ def evaluate(
     console = Console(stderr=True)
     table = Table("data", "images", "REL", "RMSE", "log10", "delta1", "delta2", "delta3", "router", title=f"{model}")
     for name, path in named_paths(data).items():
-        dataset = PairDataset(Path(path), split="test")
+        dataset = PairDataset(path, split="test")
+        if "disparity" in dataset.kinds:
+            raise InputError(f"{dataset.path} has disparity, in which there are no metres to score")
         groups = {}
         for domain in dataset.domains:
             protocol = replace(protocol_of(domain), flip_average=flip)

@@ -156,9 +156,7 @@ class AttractorHead(nn.Module):
                 max_temperature=config.max_temperature,
             )
         else:
-            self.probability = Softmax(
-                probability_channels, config.n_bins, bottleneck_factor=config.bottleneck_factor
-            )
+            self.probability = Softmax(probability_channels, config.n_bins, bottleneck_factor=config.bottleneck_factor)
         if config.initial_centers == "geometric":
             self._spread_centers()
 

@@ -46,8 +46,7 @@ class BeitNetwork(nn.Module):
         self.blocks = nn.ModuleList(blocks)
         rows = (2 * self.native_grid[0] - 1) * (2 * self.native_grid[1] - 1) + 3
         self.position_tables = nn.ParameterList(
-            nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02))
-            for block in blocks
+            nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02)) for block in blocks
         )
         self.channels: tuple[int, ...] = (network.embed_dim,) * 4
 

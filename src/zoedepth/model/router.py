@@ -29,9 +29,7 @@ class LabeledRouter(nn.Module):
         super().__init__()
         self.n_domains = n_domains
 
-    def forward(
-        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
-    ) -> Routing:
+    def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
         """The given domains.
 
         Raises:
@@ -54,9 +52,7 @@ class TrainedRouter(nn.Module):
         super().__init__()
         self.classifier = classifier
 
-    def forward(
-        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
-    ) -> Routing:
+    def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
         """The given domains, or the classifier's."""
         logits = self.classifier(bottleneck).float()
         return Routing(logits.argmax(dim=1) if domain is None else domain, logits)
@@ -69,9 +65,7 @@ class AutoRouter(TrainedRouter):
     depths weighted by the router's probabilities; in evaluation each image takes its best head.
     """
 
-    def forward(
-        self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None
-    ) -> Routing:
+    def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
         """A mixture while training, the best head in evaluation."""
         routing = super().forward(bottleneck, domain)
         if self.training and domain is None and routing.logits is not None:

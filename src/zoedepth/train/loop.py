@@ -108,20 +108,21 @@ class Run:
             TrainingError: loss or gradients are not finite; the images are named, the last checkpoint is intact.
         """
         if not math.isfinite(loss.item()):
-            raise TrainingError(self._explain("loss", loss, batch))
+            raise TrainingError(self._explain("loss", loss.item(), batch))
         self.fabric.backward(loss)
-        norm = self.fabric.clip_gradients(
+        clipped = self.fabric.clip_gradients(
             self.network, self.optimizer, max_norm=self.config.optim.clip, error_if_nonfinite=False
         )
+        norm = cast(torch.Tensor, clipped).item()
         # Half precision's loss scaling meets infinite gradients and skips the step; elsewhere they would end the run.
-        if self.config.precision != "16-mixed" and not math.isfinite(float(cast(torch.Tensor, norm))):
-            raise TrainingError(self._explain("gradient", norm, batch))
+        if self.config.precision != "16-mixed" and not math.isfinite(norm):
+            raise TrainingError(self._explain("norm of the gradients", norm, batch))
         self.optimizer.step()
         self.optimizer.zero_grad()
         if self.state.ema is not None:
             self.state.ema.update_parameters(self.state.model)
         self.state.step += 1
-        return float(cast(torch.Tensor, norm))
+        return norm
 
     def report(self, numbers: Mapping[str, float]) -> None:
         """Log, validate and write a checkpoint, each when its step has come."""
@@ -136,9 +137,9 @@ class Run:
         if step % config.checkpoint_every == 0 or last:
             self.state.save(self.out, config)
 
-    def _explain(self, what: str, value: object, batch: Batch) -> str:
+    def _explain(self, what: str, value: float, batch: Batch) -> str:
         return (
-            f"the {what} is {float(cast(torch.Tensor, value))} at step {self.state.step + 1}; the images were "
+            f"the {what} is {value} at step {self.state.step + 1}; the images were "
             f"{batch.names}. Check their depth, or lower optim.learning_rate. The last checkpoint is intact"
         )
 
@@ -205,9 +206,7 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
     domains = config.model.domains
     steps = [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
-        steps.append(
-            augment.fit_crop(config.model.size, max_zoom=source.max_zoom, probability=source.zoom_probability)
-        )
+        steps.append(augment.fit_crop(config.model.size, max_zoom=source.max_zoom, probability=source.zoom_probability))
     else:
         steps.append(augment.squeeze(config.model.size))
     steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
@@ -227,9 +226,7 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
     return steps
 
 
-def _limit_by_domain(
-    sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]
-) -> Sample:
+def _limit_by_domain(sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]) -> Sample:
     """Depth outside the range of the sample's domain counts as unknown."""
     low, high = ranges.get(sample.domain) or next(iter(ranges.values()))
     return augment.limit_depth(low, high)(sample, rng)
