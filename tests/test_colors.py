@@ -11,10 +11,10 @@ RAMP = np.linspace(1, 5, 256, dtype=np.float32)[None]
 
 @pytest.mark.parametrize("name", COLORMAPS)
 def test_tables_are_256_colours_and_reverse(name: str) -> None:
-    colors = colorize(RAMP, vmin=1, vmax=5, colormap=name)
+    colors = colorize(RAMP, vmin=1.0, vmax=5.0, colormap=name)
     assert colors.shape == (1, 256, 3)
     assert len(np.unique(colors[0], axis=0)) > 200
-    np.testing.assert_array_equal(colorize(RAMP, vmin=1, vmax=5, colormap=f"{name}_r"), colors[:, ::-1])
+    np.testing.assert_array_equal(colorize(RAMP, vmin=1.0, vmax=5.0, colormap=f"{name}_r"), colors[:, ::-1])
 
 
 def test_known_colours() -> None:
@@ -26,32 +26,32 @@ def test_known_colours() -> None:
         ("gray", (0, 0, 0), (255, 255, 255)),
         ("Spectral", (158, 1, 66), (94, 79, 162)),
     ):
-        np.testing.assert_array_equal(colorize(ends, vmin=1, vmax=5, colormap=name)[0], [first, last])
+        np.testing.assert_array_equal(colorize(ends, vmin=1.0, vmax=5.0, colormap=name)[0], [first, last])
 
 
 def test_invalid_is_grey_and_does_not_count() -> None:
     depth = RAMP.copy()
     depth[0, :4] = [0, -1, np.nan, np.inf]
     assert (colorize(depth)[0, :4] == INVALID_COLOR).all()
-    assert depth_range(depth, percentiles=(0, 100)) == (depth[0, 4], 5)
+    assert depth_range(depth, percentiles=(0.0, 100.0)) == (depth[0, 4], 5)
     nothing = np.zeros((2, 3), np.float32)
     assert (colorize(nothing) == INVALID_COLOR).all()
     assert preview(np.zeros((2, 3, 3), np.uint8), nothing).dtype == np.uint8
 
 
 def test_range() -> None:
-    np.testing.assert_allclose(depth_range(RAMP, percentiles=(2, 85)), [1.08, 4.4], atol=1e-5)
-    assert depth_range(RAMP, vmin=0, vmax=10) == (0, 10)
+    np.testing.assert_allclose(depth_range(RAMP, percentiles=(2.0, 85.0)), [1.08, 4.4], atol=1e-5)
+    assert depth_range(RAMP, vmin=0.0, vmax=10.0) == (0, 10)
     low, high = depth_range(np.full((2, 2), 3.0))
     assert low == 3 < high
-    for vmin, vmax in ((5, 1), (2, 2), (np.nan, 1)):
+    for vmin, vmax in ((5.0, 1.0), (2.0, 2.0), (np.nan, 1.0)):
         with pytest.raises(InputError, match="vmin must be below vmax"):
             depth_range(RAMP, vmin=vmin, vmax=vmax)
     with pytest.raises(InputError, match="jet"):
         colorize(RAMP, colormap="jet")
 
 
-@pytest.mark.parametrize(("vmin", "vmax"), [(0.5, 9.7), (3, 3.0001), (1e-3, 1e-2), (0, 80), (2.999, 1234)])
+@pytest.mark.parametrize(("vmin", "vmax"), [(0.5, 9.7), (3.0, 3.0001), (1e-3, 1e-2), (0.0, 80.0), (2.999, 1234.0)])
 @pytest.mark.parametrize("height", [1, 60, 200, 1000])
 def test_bar_runs_from_vmin_below_to_vmax_above(height: int, vmin: float, vmax: float) -> None:
     bar = color_bar(height, vmin=vmin, vmax=vmax, colormap="gray")

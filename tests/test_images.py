@@ -233,10 +233,10 @@ class TestDepthFiles:
         assert png_scale(np.array([[65.535]])) == 1000
         assert png_scale(np.array([[65.6, np.nan]])) == 256
         assert png_scale(np.array([[np.inf]])) == 1000
-        write_depth_png(tmp_path / "depth.png", np.array([[80.0]]), scale=256)
+        write_depth_png(tmp_path / "depth.png", np.array([[80.0]]), scale=256.0)
         assert read_depth(tmp_path / "depth.png") == 80
-        assert read_depth(tmp_path / "depth.png", scale=512) == 40
-        for scale in (0, -1, np.nan, np.inf):
+        assert read_depth(tmp_path / "depth.png", scale=512.0) == 40
+        for scale in (0.0, -1.0, np.nan, np.inf):
             with pytest.raises(InputError, match="scale"):
                 write_depth_png(tmp_path / "depth.png", np.ones((1, 1)), scale=scale)
 

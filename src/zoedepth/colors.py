@@ -28,7 +28,7 @@ def colorize(
     *,
     vmin: float | None = None,
     vmax: float | None = None,
-    percentiles: tuple[float, float] = (2, 85),
+    percentiles: tuple[float, float] = (2.0, 85.0),
     colormap: str = "magma_r",
 ) -> ImageArray:
     """Colour a depth map: uint8 (height, width, 3), ``vmin`` and nearer is the table's first colour, ``vmax`` its last.
@@ -56,7 +56,7 @@ def depth_range(
     *,
     vmin: float | None = None,
     vmax: float | None = None,
-    percentiles: tuple[float, float] = (2, 85),
+    percentiles: tuple[float, float] = (2.0, 85.0),
 ) -> tuple[float, float]:
     """The depths (metres) of the first and last colour: those given, else percentiles of the valid depth.
 
@@ -148,7 +148,7 @@ def preview(
     *,
     vmin: float | None = None,
     vmax: float | None = None,
-    percentiles: tuple[float, float] = (1, 99),
+    percentiles: tuple[float, float] = (1.0, 99.0),
     colormap: str = "magma_r",
     max_side: int = 960,
 ) -> ImageArray:

@@ -7,6 +7,7 @@ that leaves it is written whole or not at all.
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 from uuid import uuid4
@@ -18,8 +19,9 @@ from PIL.PngImagePlugin import PngInfo
 
 from zoedepth.errors import InputError
 
-ImageArray = UInt8[np.ndarray, "height width 3"]
-DepthArray = Float32[np.ndarray, "height width"]
+ImageArray = UInt8[np.ndarray, "_height _width 3"]
+DepthArray = Float32[np.ndarray, "_height _width"]
+BinaryFile = IO[bytes] | BytesIO  # a BytesIO is an IO[bytes] to static checkers, not to beartype
 
 IMAGE_SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".avif", ".bmp", ".dib"}
@@ -53,7 +55,7 @@ _UPRIGHT = {
 }
 
 
-def read_image(source: str | Path | IO[bytes], *, max_pixels: int = MAX_PIXELS) -> ImageArray:
+def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> ImageArray:
     """Read a photograph as uint8 (height, width, 3), RGB, [0, 255], turned upright by its EXIF orientation.
 
     Grey is repeated to three channels; palette, CMYK and YCbCr are converted; colour profiles are ignored. Alpha is
@@ -221,11 +223,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _name(source: str | Path | IO[bytes]) -> str:
+def _name(source: str | Path | BinaryFile) -> str:
     return str(source) if isinstance(source, str | Path) else str(getattr(source, "name", "the open file"))
 
 
-def _open(source: str | Path | IO[bytes], *, max_pixels: int = MAX_PIXELS) -> Image.Image:
+def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> Image.Image:
     """Open and decode, with one kind of error for everything that can be wrong with a file."""
     name = _name(source)
     if name.startswith(("http://", "https://")):

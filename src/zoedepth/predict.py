@@ -188,7 +188,7 @@ class Predictor:
         estimate = self._estimate_mirrored(pixels, given) if self.flip_average else self._estimate(pixels, given)
         return [self._depth_map(photo, estimate.of(row), size) for row, photo in enumerate(photos)]
 
-    def _pixels(self, photo: ImageArray, size: tuple[int, int]) -> Float[Tensor, "1 3 height width"]:
+    def _pixels(self, photo: ImageArray, size: tuple[int, int]) -> Float[Tensor, "1 3 _ _"]:
         vertical, horizontal = self._padding(photo.shape[:2])
         # numpy reflects as often as the padding needs, so that photos of a pixel or two work like any other.
         padded = np.pad(photo, ((vertical, vertical), (horizontal, horizontal), (0, 0)), mode="reflect")

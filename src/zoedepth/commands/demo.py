@@ -104,10 +104,10 @@ def _error_table(depth: DepthArray, truth: DepthArray) -> Table:
 def _focal_note(width: int) -> str:
     view = 2 * math.degrees(math.atan(width / 2 / FOCAL_PX))
     nyu_view = 2 * math.degrees(math.atan(NYU_WIDTH / 2 / NYU_FOCAL_PX))
-    expected = (NYU_FOCAL_PX / NYU_WIDTH) / (FOCAL_PX / width)
+    factor = (FOCAL_PX / width) / (NYU_FOCAL_PX / NYU_WIDTH)
     return (
-        f"The model does not know the focal length. This photo spans {view:.0f} degrees, NYU's {nyu_view:.0f}: a "
-        f"perfect model of that camera would take the longer lens for nearness and predict {expected:.2f} of the depth."
+        f"The focal length is unknown to the model. This photo spans {view:.0f} degrees, NYU's {nyu_view:.0f}: "
+        f"this leaves its scale open by a factor of {factor:.1f}. The second row judges the shape without it."
     )
 
 
@@ -117,7 +117,7 @@ def _contact_sheet(results: dict[str, "DepthMap"], truth: DepthArray) -> ImageAr
     for name, result in results.items():
         measured = truth if name == "motorcycle" else None
         both = result.depth if measured is None else np.concatenate([result.depth, measured])
-        vmin, vmax = depth_range(both, percentiles=(1, 99))
+        vmin, vmax = depth_range(both, percentiles=(1.0, 99.0))
         rows.append([
             panel(result.image, caption=name),
             _depth_panel(result.depth, vmin, vmax, caption=f"depth, {_domain(result)}"),
@@ -139,6 +139,6 @@ def _error_panel(depth: DepthArray, truth: DepthArray) -> ImageArray:
     """Predicted over measured depth in percent: 100 is right, blue too near, red too far."""
     percent = np.full_like(truth, np.nan)
     np.divide(100 * depth, truth, out=percent, where=truth > 0)
-    bar = color_bar(truth.shape[0], vmin=50, vmax=150, colormap="Spectral_r", unit="%")
-    colored = colorize(percent, vmin=50, vmax=150, colormap="Spectral_r")
+    bar = color_bar(truth.shape[0], vmin=50.0, vmax=150.0, colormap="Spectral_r", unit="%")
+    colored = colorize(percent, vmin=50.0, vmax=150.0, colormap="Spectral_r")
     return panel(colored, bar=bar, caption="predicted / measured (blue: too near, red: too far)")

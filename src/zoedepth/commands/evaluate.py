@@ -55,7 +55,7 @@ def evaluate(
             protocol = replace(protocol_of(domain), flip_average=flip)
             if crop != "auto":
                 protocol = replace(protocol, crop=crop)
-            groups[domain] = replace(protocol, max_depth=max_depth) if max_depth else protocol
+            groups[domain] = protocol if max_depth is None else replace(protocol, max_depth=max_depth)
         scores, right = [], []
         indices = track(range(len(dataset)), description=name, console=console, disable=not console.is_terminal)
         for index in indices:

@@ -1,7 +1,7 @@
 """One training example, and many of them as a batch."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -31,6 +31,7 @@ class Sample:
     """The image's path as the data set lists it."""
 
 
+@runtime_checkable
 class Samples(Protocol):
     """A data set: samples by number."""
 

@@ -27,6 +27,10 @@ class Protocol:
     flip_average: bool = True
     """The prediction is the mean of those for the photo and for its mirror image."""
 
+    def __post_init__(self) -> None:
+        if not 0 < self.min_depth < self.max_depth:
+            raise InputError(f"need 0 < min_depth < max_depth, in metres; got {self.min_depth} and {self.max_depth}")
+
 
 INDOOR = Protocol("indoor", max_depth=10.0, crop="eigen")
 OUTDOOR = Protocol("outdoor", max_depth=80.0, crop="garg", kitti_crop=True)
