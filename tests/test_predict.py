@@ -49,7 +49,8 @@ class Brightness(ZoeDepth):
         assert pixels.max() <= 1
         self.n_images += len(pixels)
         edges = pixels[..., 0].mean(dim=(1, 2)) - pixels[..., -1].mean(dim=(1, 2))
-        logits = torch.stack([torch.zeros_like(edges), 10 * edges], dim=1)
+        # 1e-3: not to be decided by rounding where both edges are equal.
+        logits = torch.stack([torch.full_like(edges, 1e-3), 10 * edges], dim=1)
         chosen = logits.argmax(dim=1) if domain is None else domain
         depth = (1 + pixels[:, :1]) * torch.where(chosen == 1, 10.0, 1.0)[:, None, None, None]
         return DepthOutput(depth, 1 / depth, chosen, logits, 0.1 * depth, None, None)
@@ -127,6 +128,10 @@ class TestGeometry:
         expected = nn.functional.interpolate(pixels, result.network_size, mode="bilinear", align_corners=True)
         torch.testing.assert_close(seen[0], expected)
         assert result.network_size == (64, 96)
+
+    def test_photo_too_long_and_narrow_is_refused_before_it_fills_the_memory(self, tiny_model: ZoeDepth) -> None:
+        with pytest.raises(InputError, match="4000 x 64 pixels is too long"):
+            Predictor(tiny_model)(np.zeros((64, 4000, 3), dtype=np.uint8))
 
     def test_overshoot_stays_positive(self) -> None:
         """Bicubic resizing of a step from far to near would dip below zero."""

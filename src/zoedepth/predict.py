@@ -28,6 +28,9 @@ from zoedepth.images import (
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.sizes import network_size
 
+MAX_NETWORK_AREA = 16
+"""A photo whose network input would be larger than this many times the trained size is refused."""
+
 
 @dataclass(frozen=True, eq=False)
 class DepthMap:
@@ -163,11 +166,20 @@ class Predictor:
         return [results[row] for row in range(len(photos))]
 
     def network_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(height, width) at which the model sees a photo of ``size`` (height, width)."""
+        """(height, width) at which the model sees a photo of ``size`` (height, width).
+
+        Raises:
+            InputError: the photo is so long and narrow that this would exhaust memory.
+        """
         config = self.model.config
         padding = self._padding(size)
         padded = (size[0] + 2 * padding[0], size[1] + 2 * padding[1])
-        return network_size(padded, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio)
+        height, width = network_size(
+            padded, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio
+        )
+        if height * width > MAX_NETWORK_AREA * config.size[0] * config.size[1]:
+            raise InputError(f"a photo of {size[1]} x {size[0]} pixels is too long and narrow: cut it into parts")
+        return height, width
 
     def domain_index(self, domain: str) -> int:
         """Place of a scene type in the model's list.
