@@ -49,8 +49,8 @@ class Brightness(ZoeDepth):
         assert pixels.max() <= 1
         self.n_images += len(pixels)
         edges = pixels[..., 0].mean(dim=(1, 2)) - pixels[..., -1].mean(dim=(1, 2))
-        # 1e-3: not to be decided by rounding where both edges are equal.
-        logits = torch.stack([torch.full_like(edges, 1e-3), 10 * edges], dim=1)
+        # 1e-5: not to be decided by rounding where both edges are equal.
+        logits = torch.stack([torch.full_like(edges, 1e-5), 10 * edges], dim=1)
         chosen = logits.argmax(dim=1) if domain is None else domain
         depth = (1 + pixels[:, :1]) * torch.where(chosen == 1, 10.0, 1.0)[:, None, None, None]
         return DepthOutput(depth, 1 / depth, chosen, logits, 0.1 * depth, None, None)
