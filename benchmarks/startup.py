@@ -21,4 +21,4 @@ def main() -> None:
         "import torch, zoedepth": process("-c", "import torch, zoedepth"),
         "from zoedepth import Predictor, load_model": process("-c", "from zoedepth import Predictor, load_model"),
         "load_model('zoed-lite')": process("-c", "import zoedepth; zoedepth.load_model('zoed-lite')"),
-    })  # fmt: skip
+    }, runs=3, warmup=1)  # fmt: skip
