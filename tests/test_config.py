@@ -177,7 +177,7 @@ def test_what_comes_from_json_is_hashable_and_frozen(tiny_config: ModelConfig):
     config = from_dict(ModelConfig, json.loads(json.dumps(to_dict(tiny_config))))
     assert hash(config) == hash(tiny_config)
     with pytest.raises(dataclasses.FrozenInstanceError):
-        config.antialias = True  # type: ignore[misc]
+        config.antialias = True
 
 
 PATHS = {

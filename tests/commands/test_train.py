@@ -20,7 +20,7 @@ def tiny_recipe(monkeypatch: pytest.MonkeyPatch, tiny_config: ModelConfig) -> Ca
 
     def add(stage: str) -> None:
         config = TrainConfig(
-            stage=stage,  # type: ignore[arg-type]
+            stage=stage,
             model=tiny_config,
             sources=(SourceConfig("indoor"), SourceConfig("outdoor"), SourceConfig("relative")),
             steps=100,

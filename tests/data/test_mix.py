@@ -136,7 +136,7 @@ def test_any_number_of_workers_gives_the_same_samples(n_workers: int) -> None:
     mixed = mixture([5, 3], [2, 1], seed=3)
     expected = [first([mixed[position] for position in range(4 * step, 4 * step + 4)]) for step in range(6)]
     positions = Positions(0, 6, batch_size=4)
-    loader = DataLoader(mixed, batch_sampler=positions, num_workers=n_workers, collate_fn=first)  # type: ignore[arg-type]
+    loader = DataLoader(mixed, batch_sampler=positions, num_workers=n_workers, collate_fn=first)
     assert list(loader) == expected
 
 

@@ -54,7 +54,7 @@ class HeadTester:
 
     def check_centers(self, centers: torch.Tensor, config: Any) -> None:
         """Assert what this head promises of its bin centers (batch, bins, height, width)."""
-        raise NotImplementedError
+        raise NotImplementedError  # abstract: each head test class gives its own
 
     @pytest.fixture
     def head(self, config: Any) -> Head:

@@ -47,6 +47,6 @@ def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
             # One at which the relative depth of the random tiny model is not 0 everywhere.
             "seed": 3,
         }
-        return TrainConfig(**{**defaults, **fields})  # type: ignore[arg-type]
+        return TrainConfig(**{**defaults, **fields})
 
     return make

@@ -82,7 +82,7 @@ class _Float32Training(nn.Conv2d):
     """A convolution that trains in float32 under CPU autocast.
 
     The backward of a depthwise convolution in bfloat16 has no fast path in oneDNN: in float32 a training step of
-    EfficientNet-Lite0 takes 0.4 of the time (``benchmarks/depthwise.py``).
+    EfficientNet-Lite0 takes 0.4 of the time (``docs/log.md``).
     """
 
     def forward(self, input: Tensor) -> Tensor:
