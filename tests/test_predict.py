@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from torch import Tensor, nn
 
-from zoedepth.config import INDOOR, OUTDOOR
+from zoedepth.config import INDOOR, OUTDOOR, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
@@ -30,7 +30,12 @@ class Brightness(ZoeDepth):
     def __init__(self, *, antialias: bool = False) -> None:
         nn.Module.__init__(self)
         self.config = SimpleNamespace(
-            size=(64, 96), multiple=32, keep_aspect_ratio=True, antialias=antialias, domains=(INDOOR, OUTDOOR)
+            size=(64, 96),
+            multiple=32,
+            keep_aspect_ratio=True,
+            antialias=antialias,
+            domains=(INDOOR, OUTDOOR),
+            router=RouterConfig(),
         )
         self.weight = nn.Parameter(torch.ones(1))
         self.n_images = 0

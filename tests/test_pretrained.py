@@ -119,7 +119,7 @@ def test_unknown_name_lists_the_known_ones():
 
 
 def test_model_of_the_paper_without_weights_says_so():
-    with pytest.raises(InputError, match="zoed-x-n is a model of the paper without weights"):
+    with pytest.raises(InputError, match="zoed-x-n is a model of the paper whose weights nobody published"):
         load_model("zoed-x-n")
 
 
@@ -158,8 +158,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "header-cut": (lambda path: cut(path, 100), "not a readable safetensors file"),
     "weights-cut": (lambda path: cut(path, path.stat().st_size - 10), "not a readable safetensors file"),
     "text": (lambda path: path.write_text("these are no weights\n" * 100), "not a readable safetensors file"),
-    "torch": (lambda path: torch.save({"weight": torch.zeros(3)}, path), "not a readable safetensors file"),
-    "no-metadata": (lambda path: save_file({"weight": torch.zeros(3)}, path), "no ZoeDepth config"),
+    "torch": (lambda path: torch.save({"weight": torch.zeros(3)}, path), "weights of no ZoeDepth"),
+    "no-metadata": (lambda path: rewrite(path, metadata=lambda texts: texts.pop("config") and texts.update(a="b")),
+                    "no ZoeDepth config"),
+    "other-weights": (lambda path: save_file({"weight": torch.zeros(3)}, path), "weights of no ZoeDepth"),
     "no-config": (lambda path: rewrite(path, metadata=lambda texts: texts.pop("config") and texts.update(a="b")),
                   "no ZoeDepth config"),
     "config-not-json": (lambda path: rewrite(path, metadata=lambda texts: texts.update(config="{size: 3")),

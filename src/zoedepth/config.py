@@ -38,12 +38,16 @@ class EncoderConfig:
     """Number of blocks (of each stage) in place of timm's."""
     heads: tuple[int, ...] | None = None
     """Number of attention heads (of each stage) in place of timm's."""
+    mlp_width: int | None = None
+    """BEiT: hidden channels of the blocks' MLPs in place of four times the width."""
 
     def __post_init__(self) -> None:
         n_maps = 4 if self.family == "beit" else 0
         _require(len(self.taps) == n_maps and list(self.taps) == sorted(set(self.taps)), "encoder.taps",
                  f"{n_maps} increasing numbers for {self.family}", self.taps)  # fmt: skip
         _require(len(self.channels) == n_maps, "encoder.channels", f"{n_maps} numbers for {self.family}", self.channels)
+        _require(self.mlp_width is None or (self.family == "beit" and self.width is not None), "encoder.mlp_width",
+                 "of BEiT, beside a width", self.mlp_width)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,20 @@ class RouterConfig:
     """mlp: of the pooled bottleneck (paper). transformer: four layers over the bottleneck's tokens (released)."""
     width: int = 128
     """Channels of the classifier."""
+    attention_heads: int = 4
+    """Transformer only: heads of each layer."""
+    feedforward_width: int = 1024
+    """Transformer only: hidden channels of each layer's MLP."""
+    vote: Literal["image", "batch"] = "image"
+    """image: each image takes the head of its own best score. batch: all take that of the best sum of scores over the
+    batch (what the released code and transformers do)."""
+
+    def __post_init__(self) -> None:
+        _require(self.vote == "image" or self.kind == "trained", "router.vote", "'image' unless the router is trained",
+                 self.vote)  # fmt: skip
+        if self.classifier == "transformer":
+            _require(self.attention_heads >= 1 and self.width % self.attention_heads == 0, "router.attention_heads",
+                     f"a divisor of the width {self.width}", self.attention_heads)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -152,18 +170,21 @@ class ModelConfig:
     router: RouterConfig = field(default_factory=RouterConfig)
     """Ignored with a single domain."""
     domains: tuple[Domain, ...] = (INDOOR,)
+    """One metric head each. None at all: the model gives relative depth only (MiDaS)."""
     size: tuple[int, int] = (384, 512)
     """(height, width) the model is trained at; photos are resized near it."""
     antialias: bool = False
     """Photos are resized with a filter that does not alias. False in the released models."""
+    resize: Literal["keep-aspect", "squeeze"] = "keep-aspect"
+    """keep-aspect: photos keep their proportions, up to rounding. squeeze: they become exactly ``size`` (the released
+    code's "eval" and "train" modes; Swin encoders can do no other)."""
 
     def __post_init__(self) -> None:
         names = [domain.name for domain in self.domains]
-        _require(len(names) >= 1, "domains", "at least one domain", names)
         _require(len(set(names)) == len(names), "domains", "domains of different names", names)
         _require(all(side > 0 and side % self.multiple == 0 for side in self.size), "size",
                  f"(height, width), multiples of {self.multiple}", self.size)  # fmt: skip
-        if not self.keep_aspect_ratio:
+        if self.encoder.family == "swin":
             _require(self.size == self.encoder.size, "size",
                      f"{self.encoder.size}, the only one {self.encoder.name} takes", self.size)  # fmt: skip
 
@@ -174,8 +195,8 @@ class ModelConfig:
 
     @property
     def keep_aspect_ratio(self) -> bool:
-        """Whether the input may have any size; Swin's position tables and windows allow one only."""
-        return self.encoder.family != "swin"
+        """Whether photos keep their proportions; Swin's position tables and windows allow one size only."""
+        return self.resize == "keep-aspect" and self.encoder.family != "swin"
 
 
 def to_dict(config: Any) -> dict[str, Any]:

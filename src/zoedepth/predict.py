@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from zoedepth import colors
@@ -151,8 +151,7 @@ class Predictor:
         Raises:
             InputError: see ``__call__``.
         """
-        if self.model.training:
-            raise InputError("the model is in training mode, its depth would be random: call model.eval() first")
+        self._check_mode()
         head = None if domain is None else self.domain_index(domain)
         photos = [to_image(image) for image in images]
         groups: dict[tuple[int, int], list[int]] = {}
@@ -164,6 +163,56 @@ class Predictor:
                 chunk = rows[start : start + batch_size]
                 results |= zip(chunk, self._predict([photos[row] for row in chunk], size, head), strict=True)
         return [results[row] for row in range(len(photos))]
+
+    def infer(
+        self, pixels: Float[Tensor, "batch 3 height width"], *, domain: Int[Tensor, " batch"] | None = None
+    ) -> Float[Tensor, "batch 1 height width"]:
+        """Depth of a tensor of photos of one size, the original's ``infer``: for pipelines that stay in torch.
+
+        Gradients flow back to the pixels. Bicubic upsampling may overshoot at edges, to below zero where it is near.
+
+        Args:
+            pixels: RGB in [0, 1], of any size, on any device.
+            domain: index of the head each photo takes; None leaves it to the model's router.
+
+        Returns:
+            Metres, float32, on the predictor's device.
+
+        Raises:
+            InputError: wrong shape or type, or the model is in training mode.
+        """
+        if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point() or 0 in pixels.shape:
+            shape = tuple(pixels.shape)
+            raise InputError(f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {shape}")
+        self._check_mode()
+        size = (pixels.shape[2], pixels.shape[3])
+        resized = self._to_network(pixels.to(self.device).float(), self.network_size(size))
+        estimate = self._estimate_mirrored(resized, domain) if self.flip_average else self._estimate(resized, domain)
+        return self._from_network(estimate.depth, size, mode=self.upsampling)
+
+    @torch.inference_mode()
+    def relative(self, image: Any) -> DepthArray:
+        """Relative depth of one photo: inverse depth up to an unknown scale and shift, near is large.
+
+        Every model has it: it is what the metric heads are built on, and all that MiDaS gives.
+
+        Args:
+            image: see ``__call__``.
+
+        Returns:
+            float32 (height, width), the photo's size, >= 0, without a unit.
+
+        Raises:
+            InputError: see ``__call__``.
+        """
+        self._check_mode()
+        photo = to_image(image)
+        size = (photo.shape[0], photo.shape[1])
+        pixels = self._to_network(self._pixels(photo), self.network_size(size))
+        relative = self._relative(pixels)
+        if self.flip_average:
+            relative = (relative + self._relative(pixels.flip(-1)).flip(-1)) / 2
+        return _to_array(self._from_network(relative, size, mode=self.upsampling)).clip(0, None)
 
     def network_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """(height, width) at which the model sees a photo of ``size`` (height, width).
@@ -195,19 +244,41 @@ class Predictor:
     @torch.inference_mode()
     def _predict(self, photos: list[ImageArray], size: tuple[int, int], head: int | None) -> list[DepthMap]:
         """Depth of photos that share a network size."""
-        pixels = torch.cat([self._pixels(photo, size) for photo in photos])
+        pixels = torch.cat([self._to_network(self._pixels(photo), size) for photo in photos])
         given = None if head is None else torch.full((len(photos),), head, device=self.device)
         estimate = self._estimate_mirrored(pixels, given) if self.flip_average else self._estimate(pixels, given)
-        return [self._depth_map(photo, estimate.of(row), size) for row, photo in enumerate(photos)]
+        return [self._depth_map(photo, estimate.of(slice(row, row + 1)), size) for row, photo in enumerate(photos)]
 
-    def _pixels(self, photo: ImageArray, size: tuple[int, int]) -> Float[Tensor, "1 3 _ _"]:
-        vertical, horizontal = self._padding(photo.shape[:2])
-        # numpy reflects as often as the padding needs, so that photos of a pixel or two work like any other.
-        padded = np.pad(photo, ((vertical, vertical), (horizontal, horizontal), (0, 0)), mode="reflect")
-        pixels = torch.from_numpy(padded).to(self.device).permute(2, 0, 1)[None].contiguous().float() / 255
+    def _check_mode(self) -> None:
+        if self.model.training:
+            raise InputError("the model is in training mode, its depth would be random: call model.eval() first")
+
+    def _pixels(self, photo: ImageArray) -> UInt8[Tensor, "1 3 height width"]:
+        # A copy: torch takes no array that is read-only or flipped.
+        return torch.tensor(np.ascontiguousarray(photo)).to(self.device).permute(2, 0, 1)[None]
+
+    def _to_network(
+        self,
+        pixels: Float[Tensor, "batch 3 height width"] | UInt8[Tensor, "batch 3 height width"],
+        size: tuple[int, int],
+    ) -> Float[Tensor, "batch 3 _ _"]:
+        """Pad, and resize to what the network takes."""
+        vertical, horizontal = self._padding((pixels.shape[2], pixels.shape[3]))
+        pixels = reflect_pad(pixels, vertical, horizontal)
+        if not pixels.is_floating_point():
+            pixels = pixels.contiguous().float() / 255
         if self.model.config.antialias:
             return F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True).clamp(0, 1)
         return F.interpolate(pixels, size, mode="bilinear", align_corners=True)
+
+    def _from_network(
+        self, x: Float[Tensor, "batch 1 _ _"], size: tuple[int, int], *, mode: str
+    ) -> Float[Tensor, "batch 1 height width"]:
+        """Resize to the padded photo, and cut the padding off."""
+        top, left = self._padding(size)
+        padded_size = (size[0] + 2 * top, size[1] + 2 * left)
+        padded = F.interpolate(x, padded_size, mode=mode, align_corners=mode == "bilinear")
+        return padded[:, :, top : top + size[0], left : left + size[1]]
 
     def _padding(self, size: tuple[int, int]) -> tuple[int, int]:
         """Rows and columns added on each side, as released: 3 sqrt(side / 2)."""
@@ -215,11 +286,17 @@ class Predictor:
             return 0, 0
         return int(math.sqrt(size[0] / 2) * 3), int(math.sqrt(size[1] / 2) * 3)
 
+    def _autocast(self) -> "torch.autocast | nullcontext":
+        return torch.autocast(self.device.type, torch.bfloat16) if self.precision == "bfloat16" else nullcontext()
+
+    def _relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
+        with self._autocast():
+            return self.model.relative(pixels).float()
+
     def _estimate(
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
     ) -> "_Estimate":
-        reduced = torch.autocast(self.device.type, torch.bfloat16) if self.precision == "bfloat16" else nullcontext()
-        with reduced:
+        with self._autocast():
             output = self.model(pixels, domain=domain, return_std=True)
         logits = None if output.domain_logits is None else output.domain_logits.float()
         return _Estimate(output.depth.float(), output.std.float().square(), output.domain, logits)
@@ -228,22 +305,23 @@ class Predictor:
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
     ) -> "_Estimate":
         """The mean over each photo and its mirror image, both through one head: that of their mean logits."""
+        if self.model.config.router.vote == "batch":
+            # As released: the photos vote, and then, by themselves, their mirror images.
+            straight, mirrored = self._estimate(pixels, domain), self._estimate(pixels.flip(-1), domain)
+            return _mean_with_mirrored(straight, mirrored, domain=straight.domain)
         n = len(pixels)
         both = torch.cat([pixels, pixels.flip(-1)])
-        depth, variance, taken, logits = self._estimate(both, None if domain is None else domain.repeat(2))
-        if logits is not None:
-            logits = (logits[:n] + logits[n:]) / 2
+        estimate = self._estimate(both, None if domain is None else domain.repeat(2))
+        logits, taken = estimate.logits, estimate.domain
         if domain is None:
-            domain = taken[:n] if logits is None else logits.argmax(dim=1)
+            domain = taken[:n] if logits is None else (logits[:n] + logits[n:]).argmax(dim=1)
             again = (taken != domain.repeat(2)).nonzero().flatten()
             if len(again):
                 second = self._estimate(both[again], domain.repeat(2)[again])
-                depth, variance = depth.clone(), variance.clone()
+                depth, variance = estimate.depth.clone(), estimate.variance.clone()
                 depth[again], variance[again] = second.depth, second.variance
-        straight, mirrored = depth[:n], depth[n:].flip(-1)
-        spread = ((straight - mirrored) / 2) ** 2  # the variance of the two means adds to the mean of the two variances
-        variance = (variance[:n] + variance[n:].flip(-1)) / 2 + spread
-        return _Estimate((straight + mirrored) / 2, variance, domain, logits)
+                estimate = estimate._replace(depth=depth, variance=variance)
+        return _mean_with_mirrored(estimate.of(slice(n)), estimate.of(slice(n, None)), domain=domain)
 
     def _depth_map(self, photo: ImageArray, estimate: "_Estimate", size: tuple[int, int]) -> DepthMap:
         """One photo's estimate at its own size, on the CPU."""
@@ -254,18 +332,11 @@ class Predictor:
         else:
             softmax = estimate.logits[0].softmax(dim=0).tolist()
             probability = {known.name: p for known, p in zip(domains, softmax, strict=True)}
-        depth = self._to_photo_size(estimate.depth, photo.shape[:2], mode=self.upsampling)
+        shape = (photo.shape[0], photo.shape[1])
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
-        depth = depth.clip(domain.min_depth, None)
-        std = self._to_photo_size(estimate.variance.sqrt(), photo.shape[:2], mode="bilinear")
+        depth = _to_array(self._from_network(estimate.depth, shape, mode=self.upsampling)).clip(domain.min_depth, None)
+        std = _to_array(self._from_network(estimate.variance.sqrt(), shape, mode="bilinear"))
         return DepthMap(depth, std, domain.name, probability, photo, size)
-
-    def _to_photo_size(self, x: Float[Tensor, "1 1 _ _"], size: tuple[int, int], *, mode: str) -> DepthArray:
-        """Resize to the padded photo, and cut the padding off."""
-        top, left = self._padding(size)
-        padded_size = (size[0] + 2 * top, size[1] + 2 * left)
-        padded = F.interpolate(x, padded_size, mode=mode, align_corners=mode == "bilinear")
-        return np.ascontiguousarray(padded[0, 0, top : top + size[0], left : left + size[1]].cpu().numpy())
 
 
 class _Estimate(NamedTuple):
@@ -276,11 +347,42 @@ class _Estimate(NamedTuple):
     domain: Int[Tensor, " batch"]
     logits: Float[Tensor, "batch domains"] | None
 
-    def of(self, row: int) -> "_Estimate":
-        """One photo's part."""
-        one = slice(row, row + 1)
-        logits = None if self.logits is None else self.logits[one]
-        return _Estimate(self.depth[one], self.variance[one], self.domain[one], logits)
+    def of(self, rows: slice) -> "_Estimate":
+        """Some photos' part."""
+        logits = None if self.logits is None else self.logits[rows]
+        return _Estimate(self.depth[rows], self.variance[rows], self.domain[rows], logits)
+
+
+def _mean_with_mirrored(straight: _Estimate, mirrored: _Estimate, *, domain: Int[Tensor, " batch"]) -> _Estimate:
+    """The mean of what the model says of photos and of their mirror images."""
+    one, other = straight.depth, mirrored.depth.flip(-1)
+    spread = ((one - other) / 2) ** 2  # the variance of the two means adds to the mean of the two variances
+    variance = (straight.variance + mirrored.variance.flip(-1)) / 2 + spread
+    logits = straight.logits
+    if logits is not None and mirrored.logits is not None:
+        logits = (logits + mirrored.logits) / 2
+    return _Estimate((one + other) / 2, variance, domain, logits)
+
+
+def reflect_pad(x: Shaped[Tensor, "batch channels _ _"], vertical: int, horizontal: int) -> Shaped[Tensor, "..."]:
+    """Mirror the borders outwards, the edge itself not repeated; as often as needed, so that tiny pictures do too."""
+    if vertical == horizontal == 0:
+        return x
+    rows = _reflected(x.shape[2], vertical, x.device)
+    columns = _reflected(x.shape[3], horizontal, x.device)
+    return x.index_select(2, rows).index_select(3, columns)
+
+
+def _reflected(side: int, padding: int, device: torch.device) -> Int[Tensor, " padded"]:
+    """The pixel each place of a padded side shows: 2 1 0 1 2 3 2 1 for a side of 4 padded by 2."""
+    places = torch.arange(-padding, side + padding, device=device)
+    period = max(2 * (side - 1), 1)
+    places = places.remainder(period)
+    return torch.minimum(places, period - places) if side > 1 else torch.zeros_like(places)
+
+
+def _to_array(x: Float[Tensor, "1 1 height width"]) -> DepthArray:
+    return np.ascontiguousarray(x[0, 0].cpu().numpy())
 
 
 def _device(name: str | torch.device) -> torch.device:

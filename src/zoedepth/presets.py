@@ -1,5 +1,6 @@
 """The models of the paper, of the released checkpoints, and of this package, by name. Nothing here imports torch."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from zoedepth.config import (
@@ -11,6 +12,7 @@ from zoedepth.config import (
     ModelConfig,
     RouterConfig,
 )
+from zoedepth.errors import InputError
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -121,5 +123,52 @@ PRESETS: dict[str, ModelConfig] = {
     "zoed-m12-n-beit-l-512": _with_encoder(_PAPER_N, "beit_large_patch16_512"),
     "zoed-m12-n-efficientnet-b5": _with_encoder(_PAPER_N, "tf_efficientnet_b5"),
     "zoed-lite": ZOED_LITE,
+    # MiDaS v3.1, the result of its relative pre-training: what stage 2 of the released models started from.
+    "dpt-beit-large-384": ModelConfig(_BEIT_L, domains=(), size=(384, 384)),
 }
 """Name → architecture. ``pretrained.py`` knows which of them have weights, and where."""
+
+
+# --- the released code's behaviour ------------------------------------------------------------------------------------
+
+
+def _batch_vote(config: ModelConfig) -> ModelConfig:
+    if len(config.domains) < 2 or config.router.kind != "trained":
+        raise InputError("compat 'batch-vote' is for models whose trained router chooses between several heads")
+    return replace(config, router=replace(config.router, vote="batch"))
+
+
+def _ten_metres(config: ModelConfig) -> ModelConfig:
+    if len(config.domains) != 1 or config.head.centers != "normed":
+        raise InputError("compat '10m' is for ZoeD-K: one head with normed centers, the only ones a range changes")
+    domain = config.domains[0]
+    return replace(config, domains=(replace(domain, min_depth=INDOOR.min_depth, max_depth=INDOOR.max_depth),))
+
+
+def _squeeze(config: ModelConfig) -> ModelConfig:
+    return replace(config, resize="squeeze")
+
+
+COMPAT: dict[str, Callable[[ModelConfig], ModelConfig]] = {
+    "batch-vote": _batch_vote,
+    "10m": _ten_metres,
+    "squeeze": _squeeze,
+}
+"""What the released code does and we do not, by name; for comparing with its numbers.
+
+batch-vote: one head for the whole batch. 10m: ZoeD-K as loaded without naming a data set, 8 times too near. squeeze:
+photos are resized to exactly the trained size, whatever their proportions (its "eval" mode).
+"""
+
+
+def with_compat(config: ModelConfig, names: Iterable[str]) -> ModelConfig:
+    """A config with the named behaviours of the released code.
+
+    Raises:
+        InputError: a name is unknown, or this model has no such behaviour.
+    """
+    for name in names:
+        if name not in COMPAT:
+            raise InputError(f"there is no compat {name!r}; there are {sorted(COMPAT)}")
+        config = COMPAT[name](config)
+    return config

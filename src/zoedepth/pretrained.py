@@ -1,59 +1,143 @@
-"""Models by name or file: weights in safetensors, with the config they belong to beside them."""
+"""Models by name, file, folder or Hugging Face id."""
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import Tensor
 
-from zoedepth.config import ModelConfig, from_dict, to_dict
+from zoedepth.config import to_dict
+from zoedepth.convert.checkpoint import Checkpoint, read_checkpoint
+from zoedepth.convert.keys import shown
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.presets import PRESETS
-
-ASSETS = Path(__file__).parent / "assets"
-SHIPPED = {"zoed-lite": ASSETS / "zoed-lite.safetensors"}
-"""Models whose weights are in the package."""
+from zoedepth.presets import PRESETS, with_compat
+from zoedepth.releases import RELEASES
 
 
 def available_models() -> list[str]:
-    """Names that :func:`load_model` can load without being given a file."""
-    return sorted(SHIPPED)
+    """Names that :func:`load_model` can load without being given a file; all but the first kind are fetched once.
+
+    ``zoedepth models`` says what each is, how large, under which licence, and whether it is on this machine.
+    """
+    return sorted(RELEASES, key=lambda name: (RELEASES[name].url is not None, name))
 
 
-def load_model(name_or_path: str | Path) -> ZoeDepth:
+def load_model(name_or_path: str | Path, *, compat: Iterable[str] = ()) -> ZoeDepth:
     """A model with its weights, in evaluation mode, float32, on the CPU.
 
     Args:
-        name_or_path: a name of :func:`available_models`, a ``.safetensors`` file written by :func:`save_model`, or a
-            folder with a ``model.safetensors``.
+        name_or_path: a name of :func:`available_models`; a file or folder, recognised by its content: ours, the
+            original's ``ZoeD_M12_{N,K,NK}.pt``, MiDaS's ``dpt_beit_large_384.pt``, transformers' of either kind of
+            names; or a Hugging Face id, ``"Intel/zoedepth-nyu-kitti"``.
+        compat: behaviours of the released code to take over, see ``presets.COMPAT``.
 
     Raises:
-        InputError: the name is unknown, or the file is missing, damaged, without config, or does not fit its config.
+        InputError: there is no such model, it cannot be fetched, or its file is damaged, unsafe or does not fit.
     """
-    path = _find(name_or_path)
+    path = find(name_or_path)
+    return build_model(read_checkpoint(path), source=path, compat=compat)
+
+
+def find(name_or_path: str | Path) -> Path:
+    """The file or folder of a model; what is published and not on this machine is fetched first.
+
+    Raises:
+        InputError: there is no such model, or it cannot be fetched.
+    """
+    name, path = str(name_or_path), Path(name_or_path)
+    if isinstance(name_or_path, str) and name in RELEASES:
+        release = RELEASES[name]
+        if release.url is None:
+            return release.path
+        from zoedepth.download import download
+
+        return download(release.url, release.path, name=name)
+    if path.exists():
+        return path
+    if name in PRESETS:
+        raise InputError(
+            f"{name} is a model of the paper whose weights nobody published; its architecture is "
+            f"zoedepth.presets.PRESETS[{name!r}]. Give a file of weights, or one of {available_models()}"
+        )
+    from zoedepth.hub import fetch, is_hub_id
+
+    if isinstance(name_or_path, str) and is_hub_id(name):
+        return fetch(name)
+    looks_like_path = os.sep in name or path.suffix
+    problem = f"there is no file {name}" if looks_like_path else f"there is no model named {name!r}"
+    raise InputError(
+        f"{problem}; known models are {available_models()}, or give a file, a folder or a Hugging Face id (owner/name)"
+    )
+
+
+def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str] = ()) -> ZoeDepth:
+    """The model of a checkpoint, in evaluation mode, float32. Its weights are the checkpoint's own, not copies.
+
+    Args:
+        checkpoint: see ``read_checkpoint``.
+        source: name of it, for messages.
+        compat: see ``load_model``.
+
+    Raises:
+        InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
+    """
+    config, weights, _, name_in_file = checkpoint
+    # A config may ask for any number of blocks; each has weights of its own.
+    if sum(config.encoder.depth or ()) + len(config.domains) > len(weights):
+        raise InputError(f"the config in {source} makes no model of {len(weights)} weights")
+    config = with_compat(config, compat)
     try:
-        with safe_open(str(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-            weights = {name: file.get_tensor(name).float() for name in file.keys()}  # noqa: SIM118  # not a dict
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{path} is not a readable safetensors file ({error})") from error
-    if "config" not in metadata:
-        raise InputError(f"{path} has no ZoeDepth config in its metadata; write models with zoedepth.save_model")
-    try:
-        config = from_dict(ModelConfig, json.loads(metadata["config"]), where="config")
-        model = ZoeDepth(config)
+        with torch.device("meta"):  # shapes without memory
+            model = ZoeDepth(config)
     except (ValueError, RuntimeError, TypeError, IndexError, AssertionError) as error:  # timm has many
-        raise InputError(f"the config in {path} makes no model: {error}") from error
-    _load_strictly(model, weights, path)
-    return model.eval()
+        raise InputError(f"the config in {source} makes no model: {error}") from error
+    problems = misfits(model.state_dict(), weights)
+    if problems:
+        texts = [f"{problem} {name_in_file(name)}{details}" for problem, name, details in problems]
+        listed = "; ".join(sorted(texts)[:8]) + ("; ..." if len(texts) > 8 else "")
+        raise InputError(f"the weights in {source} do not fit their config ({len(texts)} problems): {listed}")
+    floats = {name: value.float() if value.is_floating_point() else value for name, value in weights.items()}
+    if broken := [name_in_file(name) for name, value in floats.items() if not value.isfinite().all()]:
+        raise InputError(f"the weights in {source} are not finite: {shown(broken)}")
+    model.load_state_dict(floats, assign=True)
+    return _with_buffers(model).eval()
+
+
+def misfits(expected: dict[str, Tensor], weights: dict[str, Tensor]) -> list[tuple[str, str, str]]:
+    """What keeps weights from being a model's: the problem, our name of the weight, details."""
+    problems = [("missing", name, "") for name in expected.keys() - weights.keys()]
+    problems += [("unknown", name, "") for name in weights.keys() - expected.keys()]
+    for name in expected.keys() & weights.keys():
+        shape, found = tuple(expected[name].shape), tuple(weights[name].shape)
+        if shape != found:
+            problems.append(("misshapen", name, f" is {found}, not {shape}"))
+        elif expected[name].is_floating_point() != weights[name].is_floating_point():
+            problems.append(("mistyped", name, f" is {weights[name].dtype}"))
+    return problems
+
+
+def _with_buffers(model: ZoeDepth) -> ZoeDepth:
+    """Fill the buffers that no checkpoint holds: the model was built without memory."""
+    lost = {name: buffer for name, buffer in model.named_buffers() if buffer.is_meta}
+    modules = {name.rpartition(".")[0] for name in lost}
+    for name, buffer in lost.items():
+        parent, _, attribute = name.rpartition(".")
+        setattr(model.get_submodule(parent), attribute, torch.empty_like(buffer, device="cpu"))
+    for name in modules:
+        module = model.get_submodule(name)
+        module.init_non_persistent_buffers()  # type: ignore[operator]  # timm's method, and our LogBinomial's
+    return model
 
 
 def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.float32) -> None:
     """Write weights and config into one ``.safetensors`` file, whole or not at all.
+
+    ``zoedepth convert`` makes a folder of it, or the layout of the original or of transformers.
 
     Args:
         model: any ZoeDepth.
@@ -75,39 +159,7 @@ def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.
         part.write_bytes(save(weights, metadata={"config": json.dumps(to_dict(model.config))}))
 
 
-def _find(name_or_path: str | Path) -> Path:
-    name = str(name_or_path)
-    if name in SHIPPED:
-        return SHIPPED[name]
-    path = Path(name_or_path)
-    if path.is_dir():
-        path = path / "model.safetensors"
-    if path.is_file():
-        return path
-    if name in PRESETS:
-        raise InputError(
-            f"{name} is a model of the paper without weights in this package; its architecture is "
-            f"zoedepth.presets.PRESETS[{name!r}]. Give a file of weights, or one of {available_models()}"
-        )
-    looks_like_path = os.sep in name or path.suffix
-    problem = f"there is no file {name}" if looks_like_path else f"there is no model named {name!r}"
-    raise InputError(f"{problem}; known models are {available_models()}, or give a .safetensors file")
-
-
-def _load_strictly(model: ZoeDepth, weights: dict[str, torch.Tensor], path: Path) -> None:
-    """Load, naming what does not fit."""
-    expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
-    found = {name: tuple(value.shape) for name, value in weights.items()}
-    problems = [f"missing {name}" for name in expected.keys() - found.keys()]
-    problems += [f"unknown {name}" for name in found.keys() - expected.keys()]
-    problems += [
-        f"{name} is {found[name]}, not {expected[name]}"
-        for name in expected.keys() & found.keys()
-        if found[name] != expected[name]
-    ]
-    broken = [name for name, value in weights.items() if not value.isfinite().all()]
-    problems += [f"{name} has values that are not finite" for name in broken]
-    if problems:
-        shown = "; ".join(sorted(problems)[:8]) + ("; ..." if len(problems) > 8 else "")
-        raise InputError(f"the weights in {path} do not fit their config ({len(problems)} problems): {shown}")
-    model.load_state_dict(weights)
+def checkpoint_of(model: ZoeDepth) -> Checkpoint:
+    """A model as a checkpoint, ready for ``write_checkpoint``."""
+    weights = {name: value.detach().cpu() for name, value in model.state_dict().items()}
+    return Checkpoint(model.config, weights, "zoedepth", str)

@@ -67,7 +67,12 @@ class LogBinomial(nn.Module):
         self.min_temperature = min_temperature
         self.max_temperature = max_temperature
         self.coefficients: Tensor
-        self.register_buffer("coefficients", log_binomial_coefficients(n_bins), persistent=False)
+        self.register_buffer("coefficients", torch.empty(n_bins), persistent=False)
+        self.init_non_persistent_buffers()
+
+    def init_non_persistent_buffers(self) -> None:
+        """Fill what no checkpoint holds, after the module was built without memory (timm's name for it)."""
+        self.coefficients.copy_(log_binomial_coefficients(len(self.coefficients)))
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch bins height width"]:
         """Probabilities over the bins, float32."""

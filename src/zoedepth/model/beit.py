@@ -27,6 +27,9 @@ class BeitNetwork(nn.Module):
         super().__init__()
         overrides: dict[str, Any] = {"embed_dim": config.width, "depth": config.depth and config.depth[0],
                      "num_heads": config.heads and config.heads[0]}  # fmt: skip
+        if config.width and config.mlp_width:
+            # timm takes a ratio, and rounds the product down.
+            overrides["mlp_ratio"] = (config.mlp_width + 0.5) / config.width
         network: Any = timm.create_model(
             config.name,
             pretrained=False,

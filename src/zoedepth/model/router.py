@@ -45,17 +45,26 @@ class LabeledRouter(nn.Module):
 class TrainedRouter(nn.Module):
     """R.2: a classifier trained on the domain labels; each image takes the head of its own best score.
 
-    A given domain overrides the classifier. (The released code takes one vote for a whole batch.)
+    A given domain overrides the classifier.
+
+    Args:
+        classifier: bottleneck to scores of the domains.
+        by_batch: all images take the head of the best sum of scores over the batch, as released
+            (``zoedepth_nk_v1.py``): an image's depth then depends on its neighbours.
     """
 
-    def __init__(self, classifier: nn.Module) -> None:
+    def __init__(self, classifier: nn.Module, *, by_batch: bool = False) -> None:
         super().__init__()
         self.classifier = classifier
+        self.by_batch = by_batch
 
     def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
         """The given domains, or the classifier's."""
         logits = self.classifier(bottleneck).float()
-        return Routing(logits.argmax(dim=1) if domain is None else domain, logits)
+        if domain is None:
+            scores = logits.sum(dim=0, keepdim=True).expand_as(logits) if self.by_batch else logits
+            domain = scores.argmax(dim=1)
+        return Routing(domain, logits)
 
 
 class AutoRouter(TrainedRouter):
@@ -88,10 +97,12 @@ class MlpClassifier(nn.Module):
 class TransformerClassifier(nn.Module):
     """A transformer over the bottleneck's pixels, then an MLP of its class token (``patch_transformer.py``)."""
 
-    def __init__(self, channels: int, n_domains: int, *, width: int) -> None:
+    def __init__(
+        self, channels: int, n_domains: int, *, width: int, attention_heads: int, feedforward_width: int
+    ) -> None:
         super().__init__()
         self.project = nn.Conv2d(channels, width, kernel_size=1)
-        layer = nn.TransformerEncoderLayer(width, nhead=4, dim_feedforward=1024, dropout=0.1, batch_first=True)
+        layer = nn.TransformerEncoderLayer(width, attention_heads, feedforward_width, dropout=0.1, batch_first=True)
         self.transformer = nn.TransformerEncoder(layer, num_layers=4, enable_nested_tensor=False)
         self.mlp = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, n_domains))
 
@@ -110,12 +121,20 @@ def positional_code(length: int, width: int, *, device: torch.device | None = No
     return torch.cat([angles.sin(), angles.cos()], dim=1)
 
 
-CLASSIFIERS = {"mlp": MlpClassifier, "transformer": TransformerClassifier}
-
-
 def build_router(config: RouterConfig, channels: int, n_domains: int) -> nn.Module:
     """The router of ``n_domains`` heads on a bottleneck of ``channels``; labeled where there is one domain only."""
     if n_domains == 1 or config.kind == "labeled":
         return LabeledRouter(n_domains)
-    classifier = CLASSIFIERS[config.classifier](channels, n_domains, width=config.width)
-    return {"trained": TrainedRouter, "auto": AutoRouter}[config.kind](classifier)
+    if config.classifier == "mlp":
+        classifier = MlpClassifier(channels, n_domains, width=config.width)
+    else:
+        classifier = TransformerClassifier(
+            channels,
+            n_domains,
+            width=config.width,
+            attention_heads=config.attention_heads,
+            feedforward_width=config.feedforward_width,
+        )
+    if config.kind == "auto":
+        return AutoRouter(classifier)
+    return TrainedRouter(classifier, by_batch=config.vote == "batch")

@@ -1,5 +1,6 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
@@ -35,7 +36,10 @@ class DepthOutput(NamedTuple):
 
 
 class ZoeDepth(nn.Module):
-    """One encoder and decoder, one metric head a domain, and a router that gives each image its head."""
+    """One encoder and decoder, one metric head a domain, and a router that gives each image its head.
+
+    Without any domain in its config it has encoder and decoder only, and gives relative depth.
+    """
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -50,10 +54,19 @@ class ZoeDepth(nn.Module):
             features=config.decoder.features,
             output_stride=config.decoder.output_stride,
         )
+        if not config.domains:
+            return
         head = HEADS[type(config.head)]
         self.shared = head.shared(self.decoder.channels, config.head)
         self.router = build_router(config.router, self.decoder.channels.bottleneck, len(config.domains))
         self.heads = nn.ModuleList(head.domain(self.decoder.channels, config.head, d) for d in config.domains)
+
+    @classmethod
+    def from_pretrained(cls, name_or_path: str | Path) -> "ZoeDepth":
+        """The same as ``zoedepth.load_model``: a name, a file, a folder or a Hugging Face id."""
+        from zoedepth.pretrained import load_model  # which builds on this module
+
+        return load_model(name_or_path)
 
     @property
     def device(self) -> torch.device:
@@ -77,8 +90,13 @@ class ZoeDepth(nn.Module):
             return_bins: also return the bin centers and their probabilities.
 
         Raises:
-            InputError: wrong shape or size, or a labeled router without labels.
+            InputError: wrong shape or size, a labeled router without labels, or a model without metric heads.
         """
+        if not self.config.domains:
+            raise InputError(
+                "this model has no metric head, it gives relative depth only: use model.relative(pixels) or "
+                "Predictor.relative(photo), or train metric heads on it (zoedepth train --start)"
+            )
         self._check(pixels, domain)
         size = pixels.shape[-2:]
         features = self.shared(self.relative_features(pixels))
@@ -94,6 +112,18 @@ class ZoeDepth(nn.Module):
             upsample(_stitch([output.bin_centers for output in outputs], order), size) if return_bins else None,
             upsample(_stitch([output.probability for output in outputs], order), size) if return_bins else None,
         )
+
+    def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
+        """Relative depth alone, as MiDaS: inverse depth up to an unknown scale and shift, >= 0, near is large.
+
+        Args:
+            pixels: as in ``forward``.
+
+        Raises:
+            InputError: wrong shape or size.
+        """
+        self._check(pixels, None)
+        return upsample(self.relative_features(pixels).relative, pixels.shape[-2:])
 
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
         """Stage 1's part of the model: encoder and decoder, with the relative depth, at the decoder's resolution."""
@@ -113,7 +143,7 @@ class ZoeDepth(nn.Module):
                 f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {tuple(pixels.shape)}"
             )
         config, size = self.config, tuple(pixels.shape[-2:])
-        if not config.keep_aspect_ratio and size != config.size:
+        if config.encoder.family == "swin" and size != config.size:
             raise InputError(f"{config.encoder.name} takes pixels of {config.size} only; got {size}")
         if any(side == 0 or side % config.multiple for side in size):
             raise InputError(

@@ -1,0 +1,113 @@
+"""Tables between two layouts of the same weights, and the engine that applies them in both directions."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from zoedepth.errors import InputError
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table. In its patterns ``{}`` is a number, and a ``*`` at the end the rest of the name."""
+
+    theirs: str | tuple[str, ...]
+    """Names in the other layout. Several: their tensors, one below the other (dimension 0), are ours."""
+    ours: str | None
+    """Name here. None: known, and used by no model."""
+
+
+class Table:
+    """A bijection between names, but for the rows that are known and dropped. The first row that matches counts."""
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        self.rows = tuple(rows)
+        self._theirs = [
+            (_compile(pattern), row, part)
+            for row in self.rows
+            for part, pattern in enumerate((row.theirs,) if isinstance(row.theirs, str) else row.theirs)
+        ]
+        self._ours = [(_compile(row.ours), row) for row in self.rows if row.ours is not None]
+
+    def to_ours(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Rename and join. Nothing is copied but what is joined.
+
+        Raises:
+            InputError: names that no row knows, or a tensor whose sisters are missing or do not go with it.
+        """
+        found: dict[str, Tensor] = {}
+        parts: dict[str, dict[int, Tensor]] = {}
+        rows: dict[str, tuple[Row, tuple[str, ...]]] = {}
+        unknown: list[str] = []
+        for name, value in weights.items():
+            for pattern, row, part in self._theirs:
+                if match := pattern.fullmatch(name):
+                    if row.ours is not None:
+                        target = _fill(row.ours, match.groups())
+                        rows[target] = row, match.groups()
+                        parts.setdefault(target, {})[part] = value
+                    break
+            else:
+                unknown.append(name)
+        if unknown:
+            raise InputError(f"unknown weights: {shown(unknown)}")
+        for target, given in parts.items():
+            row, groups = rows[target]
+            if isinstance(row.theirs, str):
+                found[target] = given[0]
+                continue
+            if lost := [_fill(row.theirs[i], groups) for i in range(len(row.theirs)) if i not in given]:
+                raise InputError(f"missing weights: {shown(lost)}")
+            sisters = [given[i] for i in range(len(row.theirs))]
+            if len({sister.shape for sister in sisters}) > 1 or not sisters[0].ndim:
+                raise InputError(f"{_fill(row.theirs[0], groups)} and its sisters have different shapes")
+            found[target] = torch.cat(sisters)
+        return found
+
+    def to_theirs(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The way back: rename and split; the dropped rows stay away.
+
+        Raises:
+            InputError: names that no row knows, which the other layout has no place for.
+        """
+        found: dict[str, Tensor] = {}
+        unknown: list[str] = []
+        for name, value in weights.items():
+            names = self.theirs(name)
+            if not names:
+                unknown.append(name)
+            for target, part in zip(names, value.chunk(len(names)) if names else (), strict=True):
+                found[target] = part.contiguous()
+        if unknown:
+            raise InputError(f"the other layout has no place for {shown(unknown)}")
+        return found
+
+    def theirs(self, name: str) -> tuple[str, ...]:
+        """Names in the other layout of one of our weights; none where no row knows it."""
+        for pattern, row in self._ours:
+            if match := pattern.fullmatch(name):
+                patterns = (row.theirs,) if isinstance(row.theirs, str) else row.theirs
+                return tuple(_fill(pattern, match.groups()) for pattern in patterns)
+        return ()
+
+
+def shown(names: Sequence[str], *, limit: int = 8) -> str:
+    """The first names of a list, and how many more there are."""
+    more = f" and {len(names) - limit} more" if len(names) > limit else ""
+    # From a file: cut, so that the message stays one.
+    return ", ".join(repr(name)[:120] for name in sorted(names)[:limit]) + more
+
+
+def _compile(pattern: str) -> re.Pattern[str]:
+    text = re.escape(pattern).replace(r"\{\}", r"(\d{1,4})")
+    return re.compile(text.removesuffix(r"\*") + "(.+)" if pattern.endswith("*") else text)
+
+
+def _fill(pattern: str, groups: tuple[str, ...]) -> str:
+    for group in groups:
+        place = "{}" if "{}" in pattern else "*"
+        pattern = pattern.replace(place, group, 1)
+    return pattern

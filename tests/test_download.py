@@ -1,0 +1,286 @@
+import hashlib
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from threading import Event
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from tests.servers import FileServer
+
+from zoedepth.download import download
+from zoedepth.errors import InputError
+
+CONTENT = np.random.default_rng(0).bytes(300_000)
+OTHER = np.random.default_rng(1).bytes(300_000)
+
+
+def sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+@pytest.fixture
+def server() -> Iterator[FileServer]:
+    with FileServer(CONTENT) as server:
+        yield server
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "weights" / "model.safetensors"
+
+
+def names(path: Path) -> list[str]:
+    return sorted(file.name for file in path.parent.iterdir())
+
+
+def cut(server: FileServer, path: Path, *, after: int = 100_000) -> None:
+    """A download whose connection is cut after ``after`` bytes."""
+    server.stop_after = after
+    with pytest.raises(InputError, match=rf"stopped after {after:,} of 300,000 bytes .*typing the command again"):
+        download(server.url, path)
+    server.stop_after = None
+    assert not path.exists()
+    assert path.with_name("model.safetensors.part").stat().st_size == after
+
+
+# --- whole ------------------------------------------------------------------------------------------------------------
+
+
+def test_file_arrives_whole_and_leaves_nothing_beside_it(server: FileServer, path: Path):
+    assert download(f"{server.url}/some/model.safetensors", path, sha256=sha256(CONTENT).upper()) == path
+    assert path.read_bytes() == CONTENT
+    assert names(path) == [path.name]
+
+
+def test_file_that_exists_is_returned_untouched_without_network(server: FileServer, path: Path):
+    path.parent.mkdir()
+    path.write_bytes(b"mine")
+    assert download(server.url, path, sha256=sha256(CONTENT)) == path
+    assert path.read_bytes() == b"mine"
+    assert server.requests == []
+
+
+def test_answer_without_a_length_is_taken_as_it_is(server: FileServer, path: Path):
+    server.length = False
+    assert download(server.url, path).read_bytes() == CONTENT
+
+
+def test_empty_file(server: FileServer, path: Path):
+    server.content = b""
+    assert download(server.url, path).read_bytes() == b""
+
+
+def test_progress_bar_is_drawn_on_a_terminal_only(server: FileServer, path: Path, capfd: pytest.CaptureFixture[str]):
+    download(server.url, path)
+    captured = capfd.readouterr()
+    assert captured.out == captured.err == ""
+
+
+def test_progress_bar_has_the_name(server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch, capfd):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # to rich, a terminal
+    download(server.url, path, name="ZoeD [large]")
+    captured = capfd.readouterr()
+    assert captured.out == ""
+    assert "ZoeD [large]" in captured.err
+
+
+# --- taken up ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("etag", "modified"), [('"first"', None), (None, 1e9), ('"first"', 1e9)])
+def test_cut_download_goes_on_where_it_stopped(
+    server: FileServer, path: Path, etag: str | None, modified: float | None
+):
+    server.etag, server.modified = etag, modified
+    cut(server, path)
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None, "bytes=100000-"]
+    assert names(path) == [path.name]
+
+
+def test_download_cut_twice_goes_on_twice(server: FileServer, path: Path):
+    server.stop_after = 100_000
+    for _ in range(2):
+        with pytest.raises(InputError, match="goes on from there"):
+            download(server.url, path)
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None, "bytes=100000-", "bytes=200000-"]
+
+
+def test_server_that_ignores_ranges_sends_all_again(server: FileServer, path: Path):
+    cut(server, path)
+    server.ranges = False
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None, "bytes=100000-"]
+
+
+@pytest.mark.parametrize("length", [50_000, 200_000, 300_000, 400_000])
+def test_file_that_changed_between_attempts_is_started_over(server: FileServer, path: Path, length: int):
+    """Also when it is as long as before, as the weights of one architecture are, and when it ends before the part."""
+    cut(server, path)
+    server.content = (OTHER + OTHER)[:length]
+    server.etag = '"second"'
+    assert download(server.url, path).read_bytes() == server.content
+
+
+def test_file_of_another_length_is_started_over_whatever_its_tag_says(server: FileServer, path: Path):
+    cut(server, path)
+    server.content = OTHER[:200_000]
+    assert download(server.url, path).read_bytes() == server.content
+
+
+def test_part_from_another_address_is_started_over(server: FileServer, path: Path):
+    cut(server, path)
+    server.content = OTHER
+    assert download(f"{server.url}/other", path).read_bytes() == OTHER
+
+
+def test_part_of_an_untagged_file_is_used_only_if_a_hash_can_check_it(server: FileServer, path: Path):
+    server.etag, server.stop_after = None, 100_000
+    with pytest.raises(InputError, match="starts over"):
+        download(server.url, path)
+    with pytest.raises(InputError, match="goes on from there"):
+        download(server.url, path, sha256=sha256(CONTENT))
+    server.stop_after = None
+    assert download(server.url, path, sha256=sha256(CONTENT)).read_bytes() == CONTENT
+    assert server.requests == [None, None, "bytes=100000-"]
+
+
+def test_part_of_unknown_origin_is_not_used(server: FileServer, path: Path):
+    path.parent.mkdir()
+    path.with_name(f"{path.name}.part").write_bytes(OTHER[:1000])
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None]
+
+
+def test_part_that_is_complete_needs_no_network(server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Stopped between the last byte and the renaming."""
+
+    def fail(self: Path, target: Path) -> Path:
+        raise OSError("no renaming today")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", fail)
+        with pytest.raises(InputError, match="no renaming today"):
+            download(server.url, path)
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_interrupted_process_leaves_its_part_and_no_lock(server: FileServer, path: Path, number: signal.Signals):
+    server.stop_after, server.stall = 200_000, Event()
+    code = "import pathlib, sys, zoedepth.download as d; d.download(sys.argv[1], pathlib.Path(sys.argv[2]))"
+    process = subprocess.Popen([sys.executable, "-c", code, server.url, path], stderr=subprocess.DEVNULL)
+    part, patience = path.with_name(f"{path.name}.part"), time.monotonic() + 30
+    while not (part.exists() and part.stat().st_size) and time.monotonic() < patience:
+        time.sleep(0.005)
+    process.send_signal(number)
+    assert process.wait() == -number
+    server.stall.set()
+    server.stop_after = None
+    assert not path.exists()
+    length = part.stat().st_size
+    assert 0 < length <= 200_000
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None, f"bytes={length}-"]
+
+
+# --- together ---------------------------------------------------------------------------------------------------------
+
+
+def test_downloads_at_the_same_time_share_one(server: FileServer, path: Path):
+    with ThreadPoolExecutor(8) as pool:
+        paths = list(pool.map(lambda _: download(server.url, path), range(8)))
+    assert paths == [path] * 8
+    assert path.read_bytes() == CONTENT
+    assert names(path) == [path.name]
+    assert server.requests == [None]
+
+
+# --- refused ----------------------------------------------------------------------------------------------------------
+
+
+def test_wrong_hash_deletes_what_arrived_and_shows_both(server: FileServer, path: Path):
+    with pytest.raises(InputError, match=f"{sha256(CONTENT)}, expected {sha256(OTHER)}") as caught:
+        download(server.url, path, sha256=sha256(OTHER))
+    assert server.url in str(caught.value)
+    assert not path.exists()
+    assert not any(name.endswith((".part", ".json")) for name in names(path))
+    assert download(server.url, path, sha256=sha256(CONTENT)).read_bytes() == CONTENT
+    assert server.requests == [None, None]
+
+
+@pytest.mark.parametrize("status", [401, 404, 500, 503])
+def test_refusal_names_the_address_and_the_other_way(server: FileServer, path: Path, status: int):
+    server.status = status
+    with pytest.raises(InputError, match=rf"model.safetensors from {server.url}: HTTP Error {status}.* put at {path}"):
+        download(server.url, path)
+    assert not path.exists()
+
+
+def test_refusal_keeps_the_part(server: FileServer, path: Path):
+    cut(server, path)
+    server.status = 503
+    with pytest.raises(InputError, match="503"):
+        download(server.url, path)
+    server.status = 200
+    assert download(server.url, path).read_bytes() == CONTENT
+    assert server.requests == [None, "bytes=100000-", "bytes=100000-"]
+
+
+def test_server_that_is_not_there(path: Path):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # bound, but nobody listens
+        url = f"http://127.0.0.1:{taken.getsockname()[1]}/model"
+        with pytest.raises(InputError, match=rf"{url}: .*refused.* put at {path}"):
+            download(url, path)
+
+
+def test_silent_server_is_given_up(server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("zoedepth.download.TIMEOUT", 0.1)
+    server.stop_after, server.stall = 100_000, Event()
+    with pytest.raises(InputError, match=r"stopped after 100,000 of 300,000 bytes \(.*timed out\)"):
+        download(server.url, path)
+
+
+@pytest.mark.parametrize("url", ["ftp://host/model", "file:///etc/hostname", "model.safetensors", "", "httpx://host"])
+def test_other_kinds_of_address_are_refused(path: Path, url: str):
+    with pytest.raises(InputError, match="must begin with http"):
+        download(url, path)
+    assert not path.parent.exists()
+
+
+@pytest.mark.parametrize("url", ["http://", "http://[::1/model", "http://host:port/model", "http://127.0.0.1/a b"])
+def test_broken_address_is_refused(path: Path, url: str):
+    with pytest.raises(InputError, match="cannot download"):
+        download(url, path)
+
+
+def test_page_in_place_of_the_file_is_refused(server: FileServer, path: Path):
+    server.content, server.content_type = b"<html>Please log in</html>", "text/html; charset=utf-8"
+    with pytest.raises(InputError, match="web page"):
+        download(server.url, path)
+    assert not path.exists()
+
+
+def test_full_disk_is_noticed_before_anything_is_written(
+    server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=250_000))
+    with pytest.raises(InputError, match=r"250,000 bytes free, and model\.safetensors needs 300,000"):
+        download(server.url, path)
+    assert not path.with_name(f"{path.name}.part").exists()
+
+
+def test_folder_that_cannot_be_made_is_an_input_error(server: FileServer, tmp_path: Path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(InputError, match=server.url):
+        download(server.url, tmp_path / "file" / "model.safetensors")
