@@ -1,6 +1,7 @@
 """From any photo to a depth map of its size. Two models: one whose depth is the brightness, and a tiny real one."""
 
 import copy
+import dataclasses
 import io
 from pathlib import Path
 from threading import Thread
@@ -18,7 +19,7 @@ from zoedepth.config import INDOOR, OUTDOOR, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
-from zoedepth.predict import DepthMap, Predictor
+from zoedepth.predict import DepthMap, Predictor, reflect_pad
 
 
 class Brightness(ZoeDepth):
@@ -297,3 +298,70 @@ class TestSave:
         far = DepthMap(result.depth * 40, result.std, "outdoor", {"outdoor": 1.0}, result.image, result.network_size)
         far.save(tmp_path / "depth.png")
         np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), far.depth, atol=2e-3)
+
+
+class TestInfer:
+    """Tensors in, tensors out."""
+
+    def test_same_depth_as_of_photos(self, tiny_model: ZoeDepth) -> None:
+        photos = [smooth((50, 70), seed) for seed in range(3)]
+        pixels = torch.stack([torch.from_numpy(photo).permute(2, 0, 1) for photo in photos]) / 255
+        predictor = Predictor(tiny_model)
+        with torch.no_grad():
+            depth = predictor.infer(pixels)
+        assert depth.shape == (3, 1, 50, 70)
+        for row, photo in enumerate(photos):
+            np.testing.assert_allclose(depth[row, 0], predictor(photo).depth, rtol=1e-5)
+
+    def test_given_domains(self, tiny_model: ZoeDepth) -> None:
+        predictor, photo = Predictor(tiny_model), smooth((50, 70))
+        pixels = torch.from_numpy(photo).permute(2, 0, 1)[None] / 255
+        with torch.no_grad():
+            depth = predictor.infer(pixels, domain=torch.tensor([1]))
+        np.testing.assert_allclose(depth[0, 0], predictor(photo, domain="outdoor").depth, rtol=1e-5)
+
+    @pytest.mark.parametrize(
+        "pixels",
+        [
+            torch.rand(3, 8, 8),
+            torch.rand(1, 4, 8, 8),
+            torch.zeros(1, 3, 8, 8, dtype=torch.uint8),
+            torch.rand(1, 3, 0, 8),
+        ],
+    )
+    def test_wrong_tensors(self, tiny_model: ZoeDepth, pixels: Tensor, unchecked_types: None) -> None:
+        with pytest.raises(InputError, match="pixels must be float"):
+            Predictor(tiny_model).infer(pixels)
+
+    def test_training_mode(self, tiny_model: ZoeDepth) -> None:
+        with pytest.raises(InputError, match="training mode"):
+            Predictor(tiny_model.train()).infer(torch.rand(1, 3, 8, 8))
+
+
+class TestRelative:
+    def test_size_sign_and_mirror_image(self, tiny_model: ZoeDepth) -> None:
+        photo = smooth((70, 90))
+        relative = Predictor(tiny_model).relative(photo)
+        assert relative.shape == (70, 90)
+        assert relative.dtype == np.float32
+        assert relative.min() >= 0
+        assert relative.std() > 0
+        mirrored = Predictor(tiny_model).relative(photo[:, ::-1])
+        np.testing.assert_allclose(mirrored[:, ::-1], relative, rtol=1e-3, atol=1e-5)
+
+    def test_needs_no_metric_head(self, tiny_model: ZoeDepth) -> None:
+        config = dataclasses.replace(tiny_model.config, domains=())
+        bare = ZoeDepth(config).eval()
+        bare.load_state_dict({k: v for k, v in tiny_model.state_dict().items() if k.startswith(("encoder", "decoder"))})
+        photo = smooth((70, 90))
+        assert np.array_equal(Predictor(bare).relative(photo), Predictor(tiny_model).relative(photo))
+        with pytest.raises(InputError, match="relative depth only"):
+            Predictor(bare)(photo)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 3), (5, 4), (30, 40)])
+@pytest.mark.parametrize("padding", [(0, 0), (3, 0), (0, 5), (11, 9)])
+def test_reflect_pad_is_numpys(size: tuple[int, int], padding: tuple[int, int]) -> None:
+    x = torch.rand(2, 3, *size)
+    expected = np.pad(x.numpy(), ((0, 0), (0, 0), (padding[0],) * 2, (padding[1],) * 2), mode="reflect")
+    assert np.array_equal(reflect_pad(x, *padding).numpy(), expected)

@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
+from zoedepth.config import Domain
+from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.presets import ENCODERS, PRESETS
+from zoedepth.presets import ENCODERS, PRESETS, with_compat
 
 
 def n_parameters(name: str) -> int:
@@ -107,3 +111,37 @@ def test_all_backbones_of_the_paper_are_there():
         assert any(word in name for name in used)
     for word in ("swinv2_base", "swinv2_tiny", "efficientnet_b5", "efficientnet_lite"):
         assert any(word in name for name in used)
+
+
+# --- the released code's behaviour ------------------------------------------------------------------------------------
+
+
+def test_compat_changes_one_value_each():
+    n, k, nk = (PRESETS[f"zoed-m12-{kind}"] for kind in ("n", "k", "nk"))
+    assert with_compat(n, []) == n
+    assert with_compat(nk, ["batch-vote"]) == replace(nk, router=replace(nk.router, vote="batch"))
+    assert with_compat(k, ["10m"]) == replace(k, domains=(Domain("outdoor", 1e-3, 10.0),))
+    assert with_compat(n, ["squeeze"]) == replace(n, resize="squeeze")
+    both = with_compat(nk, ["squeeze", "batch-vote"])
+    assert (both.resize, both.router.vote) == ("squeeze", "batch")
+
+
+@pytest.mark.parametrize(
+    ("name", "compat", "message"),
+    [
+        ("zoed-m12-n", "batch-vote", "several heads"),
+        ("zoed-m12-n", "10m", "normed"),
+        ("zoed-m12-nk", "10m", "normed"),
+        ("zoed-m12-k", "old", r"there are \['10m', 'batch-vote', 'squeeze'\]"),
+    ],
+)
+def test_compat_a_model_has_not_is_an_error(name: str, compat: str, message: str):
+    with pytest.raises(InputError, match=message):
+        with_compat(PRESETS[name], [compat])
+
+
+def test_squeezed_photos_have_the_trained_size():
+    """The released code's "eval" mode, whatever the photo's proportions."""
+    config = with_compat(PRESETS["zoed-m12-nk"], ["squeeze"])
+    assert not config.keep_aspect_ratio
+    assert PRESETS["zoed-m12-nk"].keep_aspect_ratio

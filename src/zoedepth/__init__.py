@@ -7,7 +7,6 @@
 Names are imported when first used, so that ``import zoedepth`` costs almost nothing.
 """
 
-from importlib.metadata import version as _version
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -15,9 +14,9 @@ if TYPE_CHECKING:
     from zoedepth.errors import InputError, ZoeDepthError
     from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
     from zoedepth.predict import DepthMap, Predictor
-    from zoedepth.pretrained import available_models, load_model, save_model
+    from zoedepth.pretrained import available_models, load_model, push_to_hub, save_model
 
-__version__ = _version("zoedepth")
+__version__ = "0.1.0"
 
 __all__ = [
     "DepthMap",
@@ -29,6 +28,7 @@ __all__ = [
     "ZoeDepthError",
     "available_models",
     "load_model",
+    "push_to_hub",
     "save_model",
 ]
 
@@ -49,7 +49,7 @@ def __getattr__(name: str) -> object:
         from zoedepth import predict
 
         value = getattr(predict, name)
-    elif name in ("available_models", "load_model", "save_model"):
+    elif name in ("available_models", "load_model", "push_to_hub", "save_model"):
         from zoedepth import pretrained
 
         value = getattr(pretrained, name)

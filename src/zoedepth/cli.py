@@ -39,11 +39,32 @@ def _train() -> Callable[[Sequence[str]], int]:
     return train
 
 
+def _models() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.models import models
+
+    return _with_options(models)
+
+
+def _convert() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.convert import convert
+
+    return _with_options(convert)
+
+
+def _push() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.convert import push
+
+    return _with_options(push)
+
+
 COMMANDS = {
     "demo": Command("depth of three real photographs, with the error where the truth is known", _demo),
     "predict": Command("depth in metres of photos, folders or globs", _predict),
     "train": Command("train a recipe, or go on with it", _train),
     "evaluate": Command("score a model on photos with known depth, under the paper's protocol", _evaluate),
+    "models": Command("the models that have a name, and which are on this machine", _models),
+    "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
+    "push": Command("publish a model at the Hugging Face Hub", _push),
 }
 
 

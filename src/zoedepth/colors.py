@@ -150,6 +150,7 @@ def preview(
     vmax: float | None = None,
     percentiles: tuple[float, float] = (1.0, 99.0),
     colormap: str = "magma_r",
+    unit: str = "m",
     max_side: int = 960,
 ) -> ImageArray:
     """The photo beside its depth with a bar in metres, below it when the photo is much wider than high.
@@ -161,6 +162,7 @@ def preview(
         vmax: depth of the last colour.
         percentiles: wider than ``colorize``'s, so that the bar covers nearly everything in the picture.
         colormap: see ``colorize``.
+        unit: of the numbers at the bar.
         max_side: the longer side of each of the two pictures; small photos are enlarged to at least 320.
     """
     height, width = image.shape[:2]
@@ -170,10 +172,18 @@ def preview(
     vmin, vmax = depth_range(depth, vmin=vmin, vmax=vmax, percentiles=percentiles)
     scale = min(max(longer, min(320, max_side)), max_side) / longer
     size = (max(1, round(height * scale)), max(1, round(width * scale)))
-    bar = color_bar(max(size[0], 120), vmin=vmin, vmax=vmax, colormap=colormap)
+    bar = color_bar(max(size[0], 120), vmin=vmin, vmax=vmax, colormap=colormap, unit=unit)
     left, right = panel(image, size=size), panel(colorize(depth, vmin=vmin, vmax=vmax, colormap=colormap), size=size)
     right = panel(right, bar=bar)
     return sheet([[left], [right]] if width > 2 * height else [[left, right]])
+
+
+def preview_relative(image: ImageArray, relative: np.ndarray, *, colormap: str = "magma") -> ImageArray:
+    """The photo beside its relative depth, in percent: 0 is the farthest of this photo, 100 the nearest."""
+    low, high = float(relative.min()), float(relative.max())
+    percent = 100 * (relative - low) / max(high - low, 1e-12)
+    # 0 would be drawn as unknown.
+    return preview(image, percent.clip(1e-3, None), vmin=0.0, vmax=100.0, colormap=colormap, unit="%")
 
 
 def _valid(depth: np.ndarray) -> np.ndarray:

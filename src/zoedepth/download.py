@@ -116,7 +116,6 @@ def _request(url: str, start: int, known: dict[str, Any]) -> tuple[HTTPResponse,
         try:
             response = _open(url, {"Range": f"bytes={start}-"})
         except HTTPError as error:
-            error.close()
             if error.code != HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:  # that is: the file has become shorter
                 raise
         else:
@@ -130,7 +129,11 @@ def _request(url: str, start: int, known: dict[str, Any]) -> tuple[HTTPResponse,
 
 
 def _open(url: str, headers: dict[str, str]) -> HTTPResponse:
-    return urlopen(Request(url, headers={"User-Agent": "zoedepth", **headers}), timeout=TIMEOUT)
+    try:
+        return urlopen(Request(url, headers={"User-Agent": "zoedepth", **headers}), timeout=TIMEOUT)
+    except HTTPError as error:
+        error.close()  # its connection stays open otherwise
+        raise
 
 
 def _describe(url: str, response: HTTPResponse) -> dict[str, Any]:

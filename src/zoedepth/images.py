@@ -146,6 +146,34 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
         Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text)
 
 
+def write_relative_png(path: str | Path, relative: np.ndarray) -> tuple[float, float]:
+    """Write relative depth as a 16-bit grey PNG, as MiDaS does: the farthest is 0, the nearest 65535.
+
+    Args:
+        path: where to write; folders are made.
+        relative: (height, width), inverse depth up to scale and shift, finite.
+
+    Returns:
+        The least and the greatest value: relative = least + level / 65535 * (greatest - least). They are in the text
+        chunks ``RelativeMin`` and ``RelativeMax`` too.
+
+    Raises:
+        InputError: it is not two-dimensional, or not finite.
+    """
+    relative = _check_depth(relative).astype(np.float64)
+    if not np.isfinite(relative).all():
+        raise InputError("relative depth must be finite")
+    low, high = float(relative.min()), float(relative.max())
+    levels = np.rint((relative - low) / max(high - low, 1e-12) * PNG_MAX).astype(np.uint16)
+    text = PngInfo()
+    text.add_text("RelativeMin", f"{low:.10g}")
+    text.add_text("RelativeMax", f"{high:.10g}")
+    text.add_text("Description", "relative inverse depth, near is large; no unit")
+    with atomic_path(path) as temporary:
+        Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text)
+    return low, high
+
+
 def write_depth(
     path: str | Path,
     depth: np.ndarray,

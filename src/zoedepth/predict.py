@@ -267,9 +267,7 @@ class Predictor:
         pixels = reflect_pad(pixels, vertical, horizontal)
         if not pixels.is_floating_point():
             pixels = pixels.contiguous().float() / 255
-        if self.model.config.antialias:
-            return F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True).clamp(0, 1)
-        return F.interpolate(pixels, size, mode="bilinear", align_corners=True)
+        return resize_pixels(pixels, size, antialias=self.model.config.antialias)
 
     def _from_network(
         self, x: Float[Tensor, "batch 1 _ _"], size: tuple[int, int], *, mode: str
@@ -362,6 +360,15 @@ def _mean_with_mirrored(straight: _Estimate, mirrored: _Estimate, *, domain: Int
     if logits is not None and mirrored.logits is not None:
         logits = (logits + mirrored.logits) / 2
     return _Estimate((one + other) / 2, variance, domain, logits)
+
+
+def resize_pixels(
+    pixels: Float[Tensor, "batch 3 _ _"], size: tuple[int, int], *, antialias: bool
+) -> Float[Tensor, "batch 3 height width"]:
+    """Resize to what the network takes: bilinear and corners aligned, as released, or with a filter."""
+    if antialias:
+        return F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True).clamp(0, 1)
+    return F.interpolate(pixels, size, mode="bilinear", align_corners=True)
 
 
 def reflect_pad(x: Shaped[Tensor, "batch channels _ _"], vertical: int, horizontal: int) -> Shaped[Tensor, "..."]:

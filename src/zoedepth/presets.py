@@ -73,7 +73,8 @@ _RELEASED_NK = replace(
 )
 
 
-def _with_encoder(config: ModelConfig, name: str) -> ModelConfig:
+def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
+    """A config with another encoder of :data:`ENCODERS`, at the only size a Swin takes."""
     encoder = ENCODERS[name]
     return replace(config, encoder=encoder, size=encoder.size if encoder.family == "swin" else config.size)
 
@@ -115,13 +116,13 @@ PRESETS: dict[str, ModelConfig] = {
     # Its discussion of pre-training names one more.
     "zoed-x-nk": _PAPER_NK,
     # Its backbone ablation.
-    "zoed-m12-n-swin-l": _with_encoder(_PAPER_N, "swin_large_patch4_window12_384"),
-    "zoed-m12-n-swin2-t": _with_encoder(_PAPER_N, "swinv2_tiny_window16_256"),
-    "zoed-m12-n-swin2-b": _with_encoder(_PAPER_N, "swinv2_base_window12to24_192to384"),
-    "zoed-m12-n-swin2-l": _with_encoder(_PAPER_N, "swinv2_large_window12to24_192to384"),
-    "zoed-m12-n-beit-b": _with_encoder(_PAPER_N, "beit_base_patch16_384"),
-    "zoed-m12-n-beit-l-512": _with_encoder(_PAPER_N, "beit_large_patch16_512"),
-    "zoed-m12-n-efficientnet-b5": _with_encoder(_PAPER_N, "tf_efficientnet_b5"),
+    "zoed-m12-n-swin-l": with_encoder(_PAPER_N, "swin_large_patch4_window12_384"),
+    "zoed-m12-n-swin2-t": with_encoder(_PAPER_N, "swinv2_tiny_window16_256"),
+    "zoed-m12-n-swin2-b": with_encoder(_PAPER_N, "swinv2_base_window12to24_192to384"),
+    "zoed-m12-n-swin2-l": with_encoder(_PAPER_N, "swinv2_large_window12to24_192to384"),
+    "zoed-m12-n-beit-b": with_encoder(_PAPER_N, "beit_base_patch16_384"),
+    "zoed-m12-n-beit-l-512": with_encoder(_PAPER_N, "beit_large_patch16_512"),
+    "zoed-m12-n-efficientnet-b5": with_encoder(_PAPER_N, "tf_efficientnet_b5"),
     "zoed-lite": ZOED_LITE,
     # MiDaS v3.1, the result of its relative pre-training: what stage 2 of the released models started from.
     "dpt-beit-large-384": ModelConfig(_BEIT_L, domains=(), size=(384, 384)),

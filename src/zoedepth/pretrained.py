@@ -2,15 +2,17 @@
 
 import json
 import os
+import tempfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Literal
 
 import torch
 from safetensors.torch import save
 from torch import Tensor
 
 from zoedepth.config import to_dict
-from zoedepth.convert.checkpoint import Checkpoint, read_checkpoint
+from zoedepth.convert.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from zoedepth.convert.keys import shown
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
@@ -55,9 +57,12 @@ def find(name_or_path: str | Path) -> Path:
         if release.url is None:
             return release.path
         from zoedepth.download import download
+        from zoedepth.hub import cached, fetch
 
+        if not release.present and release.hub_id and cached(release.hub_id):
+            return fetch(release.hub_id)  # the same weights are here already
         return download(release.url, release.path, name=name)
-    if path.exists():
+    if os.path.exists(path):  # Path.exists raises for a name that is too long for a file
         return path
     if name in PRESETS:
         raise InputError(
@@ -87,18 +92,29 @@ def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
     """
     config, weights, _, name_in_file = checkpoint
+    encoder = config.encoder
     # A config may ask for any number of blocks; each has weights of its own.
-    if sum(config.encoder.depth or ()) + len(config.domains) > len(weights):
+    if sum(encoder.depth or ()) + len(config.domains) > len(weights):
         raise InputError(f"the config in {source} makes no model of {len(weights)} weights")
+    if ":" in encoder.name or min(encoder.taps, default=0) < 0:  # timm fetches names with a colon from anywhere
+        raise InputError(f"the config in {source} makes no model: encoder {encoder.name[:80]!r}, taps {encoder.taps}")
     config = with_compat(config, compat)
     try:
         with torch.device("meta"):  # shapes without memory
             model = ZoeDepth(config)
-    except (ValueError, RuntimeError, TypeError, IndexError, AssertionError) as error:  # timm has many
-        raise InputError(f"the config in {source} makes no model: {error}") from error
+    except (
+        ValueError,
+        RuntimeError,
+        TypeError,
+        LookupError,
+        ArithmeticError,
+        AssertionError,
+    ) as error:  # timm has many
+        reason = str(error).partition("\n")[0][:500]  # torch adds where in its C++ it was
+        raise InputError(f"the config in {source} makes no model: {reason}") from error
     problems = misfits(model.state_dict(), weights)
     if problems:
-        texts = [f"{problem} {name_in_file(name)}{details}" for problem, name, details in problems]
+        texts = [f"{problem} {_printable(name_in_file(name))}{details}" for problem, name, details in problems]
         listed = "; ".join(sorted(texts)[:8]) + ("; ..." if len(texts) > 8 else "")
         raise InputError(f"the weights in {source} do not fit their config ({len(texts)} problems): {listed}")
     floats = {name: value.float() if value.is_floating_point() else value for name, value in weights.items()}
@@ -116,9 +132,18 @@ def misfits(expected: dict[str, Tensor], weights: dict[str, Tensor]) -> list[tup
         shape, found = tuple(expected[name].shape), tuple(weights[name].shape)
         if shape != found:
             problems.append(("misshapen", name, f" is {found}, not {shape}"))
-        elif expected[name].is_floating_point() != weights[name].is_floating_point():
+        elif expected[name].is_floating_point() != weights[name].is_floating_point() or weights[name].dtype == _PACKED:
             problems.append(("mistyped", name, f" is {weights[name].dtype}"))
     return problems
+
+
+_PACKED = getattr(torch, "float4_e2m1fn_x2", None)
+"""Two numbers in a byte, which torch (from 2.8) stores and cannot convert."""
+
+
+def _printable(name: str) -> str:
+    """A name that may come from anyone, for messages."""
+    return name[:120].encode("unicode_escape").decode()
 
 
 def _with_buffers(model: ZoeDepth) -> ZoeDepth:
@@ -157,6 +182,37 @@ def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.
     with atomic_path(Path(path)) as part:
         # Not safetensors' save_file, whose files only their owner may read.
         part.write_bytes(save(weights, metadata={"config": json.dumps(to_dict(model.config))}))
+
+
+def push_to_hub(
+    model: ZoeDepth,
+    repo_id: str,
+    *,
+    to: Literal["zoedepth", "huggingface"] = "zoedepth",
+    private: bool = False,
+    licence: str | None = None,
+) -> str:
+    """Publish a model at the Hugging Face Hub: config, weights and a model card, in one commit.
+
+    Args:
+        model: any ZoeDepth.
+        repo_id: "owner/name"; made if it is not there.
+        to: layout; "huggingface" is for people who load it with transformers.
+        private: for a repository that is made.
+        licence: of the weights, as the Hub writes it: "mit", "cc-by-nc-4.0" ...; None: not stated.
+
+    Returns:
+        Its address.
+
+    Raises:
+        InputError: no token, no permission, no network, or the layout has no such model.
+    """
+    from zoedepth.hub import push_folder
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model"
+        write_checkpoint(checkpoint_of(model), path, to=to, name=repo_id, licence=licence)
+        return push_folder(path, repo_id, private=private)
 
 
 def checkpoint_of(model: ZoeDepth) -> Checkpoint:

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from zoedepth.predict import Predictor
 @pytest.fixture(autouse=True)
 def shipped_model(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> ZoeDepth:
     """Every model name gives the tiny model."""
-    monkeypatch.setattr("zoedepth.pretrained.load_model", lambda name: tiny_model)
+    monkeypatch.setattr("zoedepth.pretrained.load_model", lambda name, **_: tiny_model)
     return tiny_model
 
 
@@ -266,3 +267,51 @@ class TestExitCodes:
         with pytest.raises(InputError, match="is a file"):
             predict((str(photo),), out=photo)
         assert not (tmp_path / "out").exists()
+
+
+class TestRelative:
+    def test_files(self, tmp_path: Path, shipped_model: ZoeDepth) -> None:
+        photo, out = write_photo(tmp_path / "photo.jpg", size=(30, 40)), tmp_path / "out"
+        assert main(["predict", str(photo), "-o", str(out), "--relative"]) == 0
+        assert names(out) == {"photo_relative.png", "photo_preview.jpg", "photo.json"}
+        sidecar = json.loads((out / "photo.json").read_text())
+        low, high = sidecar["png_range"]
+        with Image.open(out / "photo_relative.png") as picture:
+            levels = np.array(picture)
+            assert picture.text["RelativeMax"] == f"{high:.10g}"
+        assert (levels.min(), levels.max()) == (0, 65535)
+        expected = Predictor(shipped_model).relative(photo)
+        np.testing.assert_allclose(low + levels / 65535 * (high - low), expected, atol=(high - low) / 65535)
+        assert "no" in sidecar["unit"]
+
+    def test_model_without_metric_heads_gives_nothing_else(
+        self, tmp_path: Path, shipped_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        bare = ZoeDepth(replace(shipped_model.config, domains=())).eval()
+        monkeypatch.setattr("zoedepth.pretrained.load_model", lambda name, **_: bare)
+        photo = write_photo(tmp_path / "photo.jpg")
+        assert main(["predict", str(photo), "-o", str(tmp_path / "out")]) == 0
+        assert "photo_relative.png" in names(tmp_path / "out")
+
+    @pytest.mark.parametrize("option", [["--domain", "indoor"], ["--png-scale", "256"], ["--vmax", "3"]])
+    def test_metres_make_no_sense(self, tmp_path: Path, option: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+        photo = write_photo(tmp_path / "photo.jpg")
+        assert main(["predict", str(photo), "-o", str(tmp_path / "out"), "--relative", *option]) == 2
+        assert "no metres" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+
+    def test_earlier_outputs_are_no_photos(self, tmp_path: Path) -> None:
+        write_photo(tmp_path / "photo.jpg")
+        for _ in range(2):
+            assert main(["predict", str(tmp_path), "-o", str(tmp_path), "--relative"]) == 0
+        assert names(tmp_path) == {"photo.jpg", "photo_relative.png", "photo_preview.jpg", "photo.json"}
+
+
+def test_compat_reaches_the_model(tmp_path: Path, shipped_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = {}
+    monkeypatch.setattr(
+        "zoedepth.pretrained.load_model", lambda name, **options: asked.update(options) or shipped_model
+    )
+    photo = write_photo(tmp_path / "photo.jpg")
+    assert main(["predict", str(photo), "-o", str(tmp_path / "out"), "--compat", "batch-vote", "squeeze"]) == 0
+    assert asked == {"compat": ("batch-vote", "squeeze")}

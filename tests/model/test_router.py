@@ -105,6 +105,28 @@ def test_scores_are_float32_under_autocast():
     assert logits.dtype == torch.float32
 
 
+def test_vote_of_the_released_code_sums_the_scores_of_the_batch():
+    """One image that is very sure outvotes three that are not (``zoedepth_nk_v1.py``)."""
+    voting = build_router(RouterConfig("trained", vote="batch", width=16), 6, 2).eval()
+    scores = torch.tensor([[0.0, 5.0], [1.0, 0.0], [1.0, 0.0], [1.0, 0.0]])
+    del voting.classifier
+    voting.classifier = lambda _: scores
+    assert voting(bottleneck(), None).domain.tolist() == [1, 1, 1, 1]
+    assert torch.equal(voting(bottleneck(), None).logits, scores)
+    own = build_router(RouterConfig("trained", width=16), 6, 2).eval()
+    del own.classifier
+    own.classifier = lambda _: scores
+    assert own(bottleneck(), None).domain.tolist() == [1, 0, 0, 0]
+    given = torch.tensor([0, 1, 0, 1])
+    assert torch.equal(voting(bottleneck(), given).domain, given)
+
+
+@pytest.mark.parametrize("kind", ["labeled", "auto"])
+def test_only_a_trained_router_votes(kind: str):
+    with pytest.raises(InputError, match="vote"):
+        RouterConfig(kind, vote="batch")
+
+
 def test_mlp_sees_the_mean_of_the_bottleneck():
     network, x = router("trained"), bottleneck()
     flat = x.mean(dim=(2, 3), keepdim=True).expand_as(x)

@@ -301,3 +301,24 @@ def test_any_number_of_domains(tiny_config: ModelConfig):
     output = build(replace(tiny_config, domains=domains))(photos(4), domain=torch.tensor([3, 2, 1, 0]))
     assert output.domain_logits.shape == (4, 4)
     assert output.depth.isfinite().all()
+
+
+# --- without metric heads ---------------------------------------------------------------------------------------------
+
+
+def test_model_without_domains_is_encoder_and_decoder(tiny_model: ZoeDepth, tiny_config: ModelConfig):
+    model = ZoeDepth(replace(tiny_config, domains=())).eval()
+    kept = {name: value for name, value in tiny_model.state_dict().items() if name.startswith(("encoder", "decoder"))}
+    model.load_state_dict(kept)
+    relative = model.relative(photos())
+    assert relative.shape == (4, 1, 64, 64)
+    assert torch.equal(relative, tiny_model(photos()).relative)
+    assert torch.equal(relative, tiny_model.relative(photos()))
+
+
+def test_model_without_domains_has_no_metres(tiny_config: ModelConfig):
+    model = ZoeDepth(replace(tiny_config, domains=())).eval()
+    with pytest.raises(InputError, match="relative depth only"):
+        model(photos())
+    with pytest.raises(InputError, match="multiples of 32"):
+        model.relative(photos(size=(60, 64)))

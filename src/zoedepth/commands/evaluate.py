@@ -18,6 +18,7 @@ def evaluate(
     crop: Literal["auto", "none", "eigen", "garg"] = "auto",
     max_depth: float | None = None,
     flip: bool = True,
+    compat: tuple[str, ...] = (),
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Score a model on photos with known depth.
@@ -27,10 +28,11 @@ def evaluate(
 
     Args:
         data: CSV files, or folders with a test.csv; PATH or NAME=PATH.
-        model: name or file of the model.
+        model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
         crop: part of the picture that is scored.
         max_depth: cap, metres.
         flip: average with the prediction for the mirror image.
+        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
         json_: print one JSON object for each data set, and nothing else.
     """
     from rich.console import Console
@@ -43,7 +45,9 @@ def evaluate(
     from zoedepth.metrics import mean_metrics
     from zoedepth.pretrained import load_model
 
-    network = load_model(model)
+    network = load_model(model, compat=compat)
+    if not network.config.domains:
+        raise InputError(f"{model} gives relative depth only, in which there are no metres to score")
     console = Console(stderr=True)
     table = Table("data", "images", "REL", "RMSE", "log10", "delta1", "delta2", "delta3", "router", title=f"{model}")
     for name, path in named_paths(data).items():

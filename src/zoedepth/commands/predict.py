@@ -7,7 +7,6 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -18,15 +17,19 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from zoedepth.colors import colorize
+from zoedepth import __version__
+from zoedepth.colors import colorize, preview_relative
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.images import (
     IMAGE_SUFFIXES,
     PNG_MAX,
     PNG_SCALE_MILLIMETRE,
+    DepthArray,
     atomic_path,
+    read_image,
     write_depth_png,
     write_image,
+    write_relative_png,
 )
 from zoedepth.images import png_scale as fitting_scale
 
@@ -45,6 +48,8 @@ def predict(
     flip: bool = True,
     pad: bool = True,
     domain: str | None = None,
+    relative: bool = False,
+    compat: tuple[str, ...] = (),
     png_scale: float | None = None,
     vmin: float | None = None,
     vmax: float | None = None,
@@ -60,11 +65,14 @@ def predict(
     Args:
         sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg").
         out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo.
-        model: name of a model in the package, or a file of weights.
+        model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
         preview: write the colour preview, the photo beside its depth with a bar in metres.
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
         pad: reflect the borders outwards before the network, against artefacts at the border.
         domain: scene type whose head to use, e.g. indoor; None leaves it to the model's router, photo by photo.
+        relative: write relative depth (inverse, without a unit) instead: NAME_relative.png, the nearest 65535. Models
+            without a metric head give nothing else.
+        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
         png_scale: levels per metre of the PNG. None: 1000 (millimetres), or 256 for a depth map beyond 65.535 m.
         vmin: depth of the first colour in metres; None: from each photo. Set both to compare previews.
         vmax: depth of the last colour in metres; None: from each photo.
@@ -90,11 +98,15 @@ def predict(
     from zoedepth.predict import Predictor
     from zoedepth.pretrained import load_model
 
-    predictor = Predictor(load_model(model), flip_average=flip, pad=pad, device=device, precision=precision)
+    network = load_model(model, compat=compat)
+    relative = relative or not network.config.domains
+    if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
+        raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")
+    predictor = Predictor(network, flip_average=flip, pad=pad, device=device, precision=precision)
     if domain is not None:
         predictor.domain_index(domain)
     writer = _Writer(model, preview=preview, png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
-    return _run(found, predictor, writer, domain=domain, console=console)
+    return _run(found, predictor, writer, domain=domain, relative=relative, console=console)
 
 
 @dataclass(frozen=True)
@@ -109,6 +121,11 @@ class Photo:
     def depth_path(self) -> Path:
         """16-bit PNG."""
         return self.target.with_name(f"{self.target.name}_depth.png")
+
+    @property
+    def relative_path(self) -> Path:
+        """16-bit PNG, where relative depth is asked for."""
+        return self.target.with_name(f"{self.target.name}_relative.png")
 
     @property
     def preview_path(self) -> Path:
@@ -191,7 +208,7 @@ def _fixed_part(pattern: str) -> Path:
 
 def _is_own_output(file: Path, out: Path) -> bool:
     """Whether an earlier run wrote the file, which matters when photos are searched where depth is written."""
-    for ending in ("_depth.png", "_preview.jpg"):
+    for ending in ("_depth.png", "_relative.png", "_preview.jpg"):
         if file.name.endswith(ending) and out.resolve() in file.resolve().parents:
             return file.with_name(file.name.removesuffix(ending) + ".json").exists()
     return False
@@ -254,17 +271,41 @@ class _Writer:
             "depth": _rounded({"min": depth.min(), "median": np.median(depth), "max": depth.max()}),
             "median_confidence": round(float(np.median(result.confidence)), 4),
             "files": files,
-            "zoedepth": version("zoedepth"),
+            "zoedepth": __version__,
             "seconds": round(seconds, 3),
         }
-        with atomic_path(photo.sidecar_path) as temporary:
-            temporary.write_text(json.dumps(sidecar, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        self.n_written += 1
+        self._write_sidecar(photo, sidecar)
         self.n_rescaled += self.png_scale is None and scale != PNG_SCALE_MILLIMETRE
         self.n_clipped += bool(depth.max() * scale > PNG_MAX)
 
+    def write_relative(self, photo: Photo, relative: DepthArray, *, seconds: float) -> None:
+        """The same of relative depth, which has no unit."""
+        low, high = write_relative_png(photo.relative_path, relative)
+        files = {"relative": photo.relative_path.name}
+        if self.preview:
+            write_image(photo.preview_path, preview_relative(read_image(photo.path), relative))
+            files["preview"] = photo.preview_path.name
+        sidecar = {
+            "source": str(photo.path),
+            "model": self.model,
+            "input_size": relative.shape,
+            "unit": "none: inverse depth up to an unknown scale and shift, near is large",
+            "png_range": [low, high],
+            "files": files,
+            "zoedepth": __version__,
+            "seconds": round(seconds, 3),
+        }
+        self._write_sidecar(photo, sidecar)
 
-def _run(found: Found, predictor: "Predictor", writer: _Writer, *, domain: str | None, console: Console) -> int:
+    def _write_sidecar(self, photo: Photo, sidecar: Mapping[str, object]) -> None:
+        with atomic_path(photo.sidecar_path) as temporary:
+            temporary.write_text(json.dumps(sidecar, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        self.n_written += 1
+
+
+def _run(
+    found: Found, predictor: "Predictor", writer: _Writer, *, domain: str | None, relative: bool, console: Console
+) -> int:
     """Predict photo by photo; one that fails does not stop the others."""
     failures, interrupted = list(found.failures), False
     inputs = {os.path.abspath(photo.path) for photo in found.photos}
@@ -273,10 +314,15 @@ def _run(found: Found, predictor: "Predictor", writer: _Writer, *, domain: str |
         with Progress(*columns, console=console, transient=True) as progress:
             for photo in progress.track(found.photos, description="depth"):
                 try:
-                    outputs = (photo.depth_path, photo.preview_path, photo.sidecar_path)
+                    depth_path = photo.relative_path if relative else photo.depth_path
+                    outputs = (depth_path, photo.preview_path, photo.sidecar_path)
                     if clash := [path.name for path in outputs if os.path.abspath(path) in inputs]:
                         raise InputError(f"its {clash[0]} would overwrite another photo, choose another --out")
                     started = time.perf_counter()
+                    if relative:
+                        result = predictor.relative(photo.path)
+                        writer.write_relative(photo, result, seconds=time.perf_counter() - started)
+                        continue
                     result = predictor(photo.path, domain=domain)
                     seconds = time.perf_counter() - started
                     writer.write(photo, result, trained_size=predictor.model.config.size, seconds=seconds)

@@ -15,9 +15,8 @@ from torch import Tensor
 from zoedepth.card import model_card
 from zoedepth.config import ModelConfig, from_dict, to_dict
 from zoedepth.convert import huggingface, midas, original
-from zoedepth.convert.files import read_json, read_tensors
+from zoedepth.convert.files import parse_json, read_json, read_tensors
 from zoedepth.convert.keys import Table, shown
-from zoedepth.convert.shapes import WeightError
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 
@@ -55,10 +54,8 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
     weights, texts = read_tensors(file)
     try:
         return _recognise(weights, texts, folder)
-    except WeightError as error:
-        raise InputError(f"{file}: {error}") from error
     except InputError as error:
-        raise InputError(f"{file}: {error}") from error
+        raise InputError(f"{file}: {str(error)[:2000]}") from error  # it may quote the file, of any length
 
 
 def _weights_in(folder: Path) -> Path:
@@ -113,8 +110,8 @@ def _json_beside(folder: Path, name: str, key: str) -> dict | None:
 
 def _config(text: str) -> ModelConfig:
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        values = parse_json(text)
+    except InputError as error:
         raise InputError(f"the config in its metadata makes no model: {error}") from error
     return from_dict(ModelConfig, values)
 
@@ -122,7 +119,9 @@ def _config(text: str) -> ModelConfig:
 # --- writing ----------------------------------------------------------------------------------------------------------
 
 
-def write_checkpoint(checkpoint: Checkpoint, path: str | Path, *, to: Layout, name: str = "ZoeDepth") -> Path:
+def write_checkpoint(
+    checkpoint: Checkpoint, path: str | Path, *, to: Layout, name: str = "ZoeDepth", licence: str | None = None
+) -> Path:
     """Write a checkpoint in a layout, whole or not at all. The weights keep their bits and their types.
 
     Args:
@@ -131,6 +130,7 @@ def write_checkpoint(checkpoint: Checkpoint, path: str | Path, *, to: Layout, na
             a folder. A folder gets config, weights and a model card.
         to: the layout.
         name: title of the model card.
+        licence: of the weights, for the card; None: not stated.
 
     Raises:
         InputError: the layout has no such model, the suffix is of another layout, or the folder is there already.
@@ -161,7 +161,7 @@ def write_checkpoint(checkpoint: Checkpoint, path: str | Path, *, to: Layout, na
         _save(theirs, part / WEIGHTS, config if to == "zoedepth" else None)
         for file, values in texts.items():
             (part / file).write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
-        (part / CARD).write_text(model_card(config, name=name, layout=to), encoding="utf-8")
+        (part / CARD).write_text(model_card(config, name=name, layout=to, licence=licence), encoding="utf-8")
     return path
 
 

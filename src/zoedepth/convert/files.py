@@ -2,18 +2,24 @@
 
 import json
 import pickle
+import re
 import zipfile
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
+from torch.nn import Parameter
 
 from zoedepth.errors import InputError
 
 MAX_JSON_BYTES = 10_000_000
 """A config larger than this is none."""
+MAX_JSON_NUMBER = 1e38
+"""What float32 holds; no size or depth is near it."""
+MAX_JSON_NESTING = 32
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -27,12 +33,13 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """
     try:
         with path.open("rb") as file:
-            start = file.read(4)
+            start = file.read(9)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from error
-    if start == b"PK\x03\x04":
+    if start.startswith(b"PK\x03\x04"):
         return _read_torch(path), {}
-    if start[:1] == b"\x80" or start == b"\x1f\x8b\x08\x00":
+    # The header of safetensors follows its length, whose first byte may be any.
+    if start.startswith(b"\x80") and start[8:] != b"{":
         raise InputError(
             f"{path} is a bare pickle or a checkpoint of a torch before 1.6: refused, nothing of it was executed. "
             "Save it again with a later torch, or as safetensors"
@@ -49,13 +56,48 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_JSON_BYTES:
             raise InputError(f"{path} is too large for a config")
-        value = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from error
-    except (ValueError, RecursionError) as error:  # no UTF-8, no JSON, or brackets without end
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not valid JSON ({error})") from error
+    try:
+        value = parse_json(text)
+    except InputError as error:
         raise InputError(f"{path} is not valid JSON ({error})") from error
     if not isinstance(value, dict):
         raise InputError(f"{path} must hold a JSON object")
+    return value
+
+
+def parse_json(text: str) -> Any:
+    """JSON whose values any code can take: no NaN, no number beyond float32, no brackets too deep to show.
+
+    Raises:
+        InputError: it is none.
+    """
+    try:
+        value = json.loads(
+            text,
+            parse_int=partial(_number, int),
+            parse_float=partial(_number, float),
+            parse_constant=partial(_number, float),  # NaN and Infinity, which only Python takes for JSON
+        )
+    except (ValueError, RecursionError) as error:  # no JSON, or brackets without end
+        raise InputError(str(error)) from error
+    level = [value]
+    for _ in range(MAX_JSON_NESTING):
+        level = [x for outer in level if isinstance(outer, dict | list)
+                 for x in (outer.values() if isinstance(outer, dict) else outer)]  # fmt: skip
+    if level:
+        raise InputError(f"brackets deeper than {MAX_JSON_NESTING}")
+    return value
+
+
+def _number(kind: type[int] | type[float], text: str) -> int | float:
+    value = kind(text)
+    if not abs(value) <= MAX_JSON_NUMBER:
+        raise ValueError(f"{text[:20]} is no number of a config")
     return value
 
 
@@ -83,7 +125,7 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
             saved = torch.load(file, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise InputError(
-            f"{path} holds something other than tensors: refused, nothing of it was executed. {_first_line(error)}"
+            f"{path} holds something other than tensors{_named(error)}: refused, nothing of it was executed"
         ) from error
     except Exception as error:  # a pickle made up by anyone fails in any way
         raise InputError(
@@ -94,22 +136,34 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
 
 def _tensors(saved: object, path: Path, size: int) -> dict[str, Tensor]:
     """The state dict in what was saved: itself, or beside other things under "model"."""
-    if isinstance(saved, dict) and isinstance(saved.get("model"), dict):
-        saved = saved["model"]
+    # Methods by their class: a pickle may give its objects attributes that hide them.
+    if isinstance(saved, dict) and isinstance(model := dict.get(saved, "model"), dict):
+        saved = model
     if not isinstance(saved, dict) or not saved:
         raise InputError(f"{path} holds no dictionary of weights")
-    for name, value in saved.items():
-        if not isinstance(name, str) or not isinstance(value, Tensor):
+    found: dict[str, Tensor] = {}
+    claimed = 0
+    for name, value in dict.items(saved):
+        if not isinstance(name, str) or type(value) not in (Tensor, Parameter):
             raise InputError(f"{path} is no dictionary of weights: {str(name)[:80]!r} is a {type(value).__name__}")
+        found[name] = value = Tensor.detach(value)
         if value.layout != torch.strided or value.device.type != "cpu" or value.is_quantized:
             raise InputError(f"{path}: {name[:80]!r} is no plain tensor")
-        # A stride of 0 makes a few bytes look like any number of them.
-        if value.numel() * value.element_size() > min(size, value.untyped_storage().nbytes()):
+        n_bytes = value.numel() * value.element_size()
+        claimed += n_bytes
+        # A stride of 0 makes a few bytes look like any number of them; so do many names for them, of which there are
+        # some in honest files.
+        if n_bytes > min(size, value.untyped_storage().nbytes()) or claimed > 2 * size:
             raise InputError(f"{path}: {name[:80]!r} claims to be larger than what is stored of it")
-    names = list(saved)
-    if all(name.startswith("module.") for name in names):  # saved from within DistributedDataParallel
-        return {name.removeprefix("module."): saved[name].detach() for name in names}
-    return {name: saved[name].detach() for name in names}
+    if all(name.startswith("module.") for name in found):  # saved from within DistributedDataParallel
+        return {name.removeprefix("module."): value for name, value in found.items()}
+    return found
+
+
+def _named(error: Exception) -> str:
+    """What the pickle asked for; the rest of torch's message is how to run it all the same."""
+    found = re.search(r"GLOBAL ([\w.]{1,80})", str(error))
+    return f" ({found[1]})" if found else ""
 
 
 def _first_line(error: Exception) -> str:

@@ -138,11 +138,13 @@ def read(
     if config is None:
         names = table(tuple(original.DOMAINS.values()) if two_heads else ("nyu",), layout=layout)
         ours = names.to_ours(weights)
-        return original.config_of(ours), ours, names
+        with shapes.errors_named(names):
+            return original.config_of(ours), ours, names
     bins = _bins(config)
     names = table(tuple(str(entry.get("name", "nyu")) for entry in bins), layout=layout)
     ours = names.to_ours(weights)
-    return _config(config, ours, bins=bins, size=_size(preprocessor)), ours, names
+    with shapes.errors_named(names):
+        return _config(config, ours, bins=bins, size=_size(preprocessor)), ours, names
 
 
 def _bins(config: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -248,8 +250,8 @@ def _native(backbone: Mapping[str, Any]) -> tuple[int, int]:
         return side, side
     if not isinstance(side, list | tuple) or len(side) != 2 or not all(isinstance(n, int) for n in side):
         raise InputError(f"image_size of the backbone in config.json must be one or two integers, not {side!r}")
-    # transformers, like MiDaS, reads the position table of a (height, width) picture as one of (width, height). Released
-    # models are square; here the table has the size that gives the same numbers.
+    # transformers, like MiDaS, reads the position table of a (height, width) picture as one of (width, height). The
+    # released models are square; here the table has the size that gives the same numbers.
     return side[1], side[0]
 
 
@@ -318,7 +320,7 @@ def _refuse(config: ModelConfig) -> None:
 def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any]:
     """config.json of ``write``'s folder, given the weights under our names."""
     encoder = config.encoder
-    n_rows, heads = weights["encoder.network.position_tables.0"].shape
+    heads = weights["encoder.network.position_tables.0"].shape[1]
     n_blocks = sum(name.startswith("encoder.network.position_tables.") for name in weights)
     hidden, width = weights["encoder.network.blocks.0.mlp.fc1.weight"].shape
     height, side = encoder.size[1], encoder.size[0]  # see _native

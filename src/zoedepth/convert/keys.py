@@ -47,7 +47,8 @@ class Table:
                 if match := pattern.fullmatch(name):
                     if row.ours is not None:
                         target = _fill(row.ours, match.groups())
-                        rows[target] = row, match.groups()
+                        if rows.setdefault(target, (row, match.groups()))[0] is not row:
+                            unknown.append(name)  # a second name of a weight that is there already
                         parts.setdefault(target, {})[part] = value
                     break
             else:
@@ -62,8 +63,8 @@ class Table:
             if lost := [_fill(row.theirs[i], groups) for i in range(len(row.theirs)) if i not in given]:
                 raise InputError(f"missing weights: {shown(lost)}")
             sisters = [given[i] for i in range(len(row.theirs))]
-            if len({sister.shape for sister in sisters}) > 1 or not sisters[0].ndim:
-                raise InputError(f"{_fill(row.theirs[0], groups)} and its sisters have different shapes")
+            if len({(sister.shape, sister.dtype) for sister in sisters}) > 1 or not sisters[0].ndim:
+                raise InputError(f"{_fill(row.theirs[0], groups)} and its sisters have different shapes or types")
             found[target] = torch.cat(sisters)
         return found
 
@@ -79,7 +80,10 @@ class Table:
             names = self.theirs(name)
             if not names:
                 unknown.append(name)
-            for target, part in zip(names, value.chunk(len(names)) if names else (), strict=True):
+            if len(names) > 1 and (not value.ndim or value.shape[0] % len(names)):
+                raise InputError(f"{name} of shape {tuple(value.shape)} cannot be split in {len(names)}")
+            parts = value.chunk(len(names)) if len(names) > 1 else [value] * len(names)
+            for target, part in zip(names, parts, strict=True):
                 found[target] = part.contiguous()
         if unknown:
             raise InputError(f"the other layout has no place for {shown(unknown)}")

@@ -54,6 +54,6 @@ def read(weights: Mapping[str, Tensor]) -> tuple[ModelConfig, dict[str, Tensor],
         InputError: unknown or missing weights; MiDaS's other encoders (Swin, LeViT, ResNeXt) among them.
     """
     ours = TABLE.to_ours(weights)
-    encoder = shapes.beit(ours)
-    config = replace(PRESETS["dpt-beit-large-384"], encoder=encoder, decoder=shapes.decoder(ours), size=encoder.size)
-    return config, ours, TABLE
+    with shapes.errors_named(TABLE):
+        encoder, decoder = shapes.beit(ours), shapes.decoder(ours)
+    return replace(PRESETS["dpt-beit-large-384"], encoder=encoder, decoder=decoder, size=encoder.size), ours, TABLE

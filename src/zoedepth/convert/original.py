@@ -71,7 +71,8 @@ def read(weights: Mapping[str, Tensor]) -> tuple[ModelConfig, dict[str, Tensor],
     domains = ("indoor", "outdoor") if any(name.startswith("patch_transformer.") for name in weights) else ("indoor",)
     names = table(domains)
     ours = names.to_ours(weights)
-    return config_of(ours), ours, names
+    with shapes.errors_named(names):
+        return config_of(ours), ours, names
 
 
 def config_of(weights: Mapping[str, Tensor]) -> ModelConfig:

@@ -1,7 +1,8 @@
 """The config that weights under our names belong to, read from their shapes."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 
 from torch import Tensor
 
@@ -13,6 +14,7 @@ from zoedepth.config import (
     ModelConfig,
     RouterConfig,
 )
+from zoedepth.convert.keys import Table
 from zoedepth.errors import InputError
 from zoedepth.model.beit import PATCH
 from zoedepth.presets import ENCODERS
@@ -69,7 +71,7 @@ def beit(
         side = math.isqrt(max(n_rows - 3, 0))
         if side**2 + 3 != n_rows or side % 2 == 0:
             raise InputError(f"position tables of {n_rows} rows are not those of a square picture: a config is needed")
-        native = (PATCH * (side + 1) // 2,) * 2
+        native = (PATCH * (side + 1) // 2, PATCH * (side + 1) // 2)
     if taps is None:
         if n_blocks < 4 or n_blocks % 4:
             raise InputError(f"{n_blocks} encoder blocks have no four quarters: a config is needed")
@@ -195,3 +197,12 @@ class WeightError(InputError):
 
     def __reduce__(self) -> "tuple[type[WeightError], tuple[str, str]]":
         return type(self), (self.name, self.problem)
+
+
+@contextmanager
+def errors_named(table: Table) -> Iterator[None]:
+    """Inside, a ``WeightError`` calls the weight as the file does."""
+    try:
+        yield
+    except WeightError as error:
+        raise WeightError("/".join(table.theirs(error.name)) or error.name, error.problem) from error

@@ -61,10 +61,10 @@ class TrainedRouter(nn.Module):
     def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
         """The given domains, or the classifier's."""
         logits = self.classifier(bottleneck).float()
-        if domain is None:
-            scores = logits.sum(dim=0, keepdim=True).expand_as(logits) if self.by_batch else logits
-            domain = scores.argmax(dim=1)
-        return Routing(domain, logits)
+        if domain is not None:
+            return Routing(domain, logits)
+        scores = logits.sum(dim=0, keepdim=True).expand_as(logits) if self.by_batch else logits
+        return Routing(scores.argmax(dim=1), logits)
 
 
 class AutoRouter(TrainedRouter):

@@ -1,0 +1,38 @@
+"""``zoedepth models``: what can be loaded by name."""
+
+import json
+from dataclasses import asdict
+from typing import Annotated
+
+import tyro
+
+
+def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
+    """List the models that have a name: what each is for, its size and licence, and whether it is on this machine.
+
+    Files of weights and Hugging Face ids are loaded too, without being listed.
+
+    Args:
+        json_: print one JSON object for each model, and nothing else.
+    """
+    from zoedepth.hub import cached
+    from zoedepth.releases import RELEASES, download_folder
+
+    for name, release in RELEASES.items():
+        in_hub_cache = release.hub_id is not None and cached(release.hub_id)
+        if json_:
+            record = {"name": name, **asdict(release), "path": str(release.path)}
+            print(json.dumps({**record, "present": release.present, "hub_present": in_hub_cache}))
+            continue
+        here = "here" if release.present or in_hub_cache else "not here"
+        print(f"{name:<20} {here:<9} {release.size:<8} weights: {release.licence}")
+        print(f"    {release.what}")
+        if release.url:
+            print(f"    {release.url}")
+        if release.hub_id:
+            print(f"    or {release.hub_id} at Hugging Face")
+    if not json_:
+        print("\nLoad one by its name: zoedepth predict --model NAME, or load_model('NAME') in Python.")
+        print("What is not here is fetched once. A file put there by hand is found:")
+        print(f"    {download_folder()}")
+    return 0

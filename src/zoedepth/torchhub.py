@@ -1,0 +1,178 @@
+"""The original's way of calling a model, for its ``torch.hub`` users: ``hubconf.py`` is made of this."""
+
+from pathlib import Path
+from typing import Literal
+from urllib.parse import urlparse
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor, nn
+
+from zoedepth.config import ModelConfig
+from zoedepth.errors import InputError
+from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor, resize_pixels
+from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
+
+MIDAS_MODELS = {
+    "DPT_BEiT_L_384": "beit_large_patch16_384",
+    "DPT_BEiT_L_512": "beit_large_patch16_512",
+    "DPT_BEiT_B_384": "beit_base_patch16_384",
+    "DPT_SwinV2_L_384": "swinv2_large_window12to24_192to384",
+    "DPT_SwinV2_B_384": "swinv2_base_window12to24_192to384",
+    "DPT_SwinV2_T_256": "swinv2_tiny_window16_256",
+    "DPT_Swin_L_384": "swin_large_patch4_window12_384",
+}
+"""The original's ``midas_model_type`` → the encoder in timm."""
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+class OriginalInterface(nn.Module):
+    """A ZoeDepth with the methods, defaults and units of the original's ``depth_model.py``.
+
+    What is different: each photo of a batch takes its own head, 16-bit values are clipped and not wrapped, ``forward``
+    returns the relative depth it promises, and the model is in evaluation mode.
+
+    Args:
+        model: any ZoeDepth with metric heads; ``.model`` afterwards.
+    """
+
+    def __init__(self, model: ZoeDepth) -> None:
+        super().__init__()
+        self.model = model
+        self.train(model.training)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the weights are."""
+        return self.model.device
+
+    def forward(
+        self,
+        x: Float[Tensor, "batch 3 height width"],
+        return_final_centers: bool = False,
+        denorm: bool = False,
+        return_probs: bool = False,
+    ) -> dict[str, Tensor]:
+        """Depth at the network's resolution.
+
+        Args:
+            x: RGB in [0, 1], of any size: resized here.
+            return_final_centers: add ``bin_centers``, (batch, bins, h, w), metres.
+            denorm: x was normalised with ImageNet's mean and standard deviation: undone first.
+            return_probs: add ``probs``, (batch, bins, h, w).
+
+        Returns:
+            ``metric_depth`` (batch, 1, h, w), metres; ``rel_depth`` (batch, 1, h, w), relative inverse depth;
+            ``domain_logits`` (batch, 2) where there are two heads.
+        """
+        if denorm:
+            mean, std = (x.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_STD))
+            x = x * std + mean
+        size = Predictor(self.model, pad=False).network_size((x.shape[2], x.shape[3]))
+        bins = return_final_centers or return_probs
+        output = self.model(resize_pixels(x, size, antialias=self.model.config.antialias), return_bins=bins)
+        result = {"metric_depth": output.depth, "rel_depth": output.relative}
+        if output.domain_logits is not None:
+            result["domain_logits"] = output.domain_logits
+        if return_final_centers and output.bin_centers is not None:
+            result["bin_centers"] = output.bin_centers
+        if return_probs and output.probability is not None:
+            result["probs"] = output.probability
+        return result
+
+    def infer(
+        self, x: Float[Tensor, "batch 3 height width"], pad_input: bool = True, with_flip_aug: bool = True
+    ) -> Float[Tensor, "batch 1 height width"]:
+        """Depth in metres at the size of ``x``, RGB in [0, 1]; gradients flow.
+
+        Args:
+            x: photos.
+            pad_input: reflect the borders outwards before the network, and cut them off after.
+            with_flip_aug: average with the prediction for the mirror image.
+        """
+        return Predictor(self.model, pad=pad_input, flip_average=with_flip_aug).infer(x)
+
+    def infer_pil(
+        self,
+        pil_img: Image.Image,
+        pad_input: bool = True,
+        with_flip_aug: bool = True,
+        output_type: Literal["numpy", "pil", "tensor"] = "numpy",
+    ) -> "np.ndarray | Image.Image | Tensor":
+        """Depth of a PIL image, at its size.
+
+        Args:
+            pil_img: of any mode; its EXIF orientation is not applied, as in the original.
+            pad_input, with_flip_aug: see ``infer``.
+            output_type: "numpy" float32 (height, width), metres; "tensor" the same on the CPU; "pil" a 16-bit image of
+                256 levels a metre, 255.996 m at most (the original wraps around there).
+
+        Raises:
+            InputError: another output type.
+        """
+        if output_type not in ("numpy", "pil", "tensor"):
+            raise InputError(f"output_type must be 'numpy', 'pil' or 'tensor', got {output_type!r}")
+        pixels = torch.from_numpy(np.array(pil_img.convert("RGB"))).permute(2, 0, 1)[None].float() / 255
+        with torch.no_grad():
+            depth = self.infer(pixels, pad_input, with_flip_aug)[0, 0].cpu()
+        if output_type == "tensor":
+            return depth
+        if output_type == "numpy":
+            return depth.numpy()
+        return Image.fromarray((depth.numpy() * PNG_SCALE_KITTI).clip(0, PNG_MAX).astype(np.uint16))
+
+
+def build(
+    preset: str, *, pretrained: bool | str, midas_model_type: str, config_mode: str, compat: tuple[str, ...]
+) -> OriginalInterface:
+    """A model for ``hubconf.py``, in evaluation mode.
+
+    Args:
+        preset: name in ``presets.PRESETS``.
+        pretrained: True for the released weights (fetched once), a path, an http(s) url, or False for random weights.
+            The original's "local::" and "url::" before them are understood.
+        midas_model_type: encoder, as in the original; the released weights are of "DPT_BEiT_L_384".
+        config_mode: "infer" keeps the photo's proportions; "eval" and "train" squeeze it to the trained size.
+        compat: see ``presets.COMPAT``.
+
+    Raises:
+        InputError: an unknown name, or weights of another kind of model.
+    """
+    if config_mode not in ("infer", "eval", "train"):
+        raise InputError(f"config_mode must be 'infer', 'eval' or 'train', got {config_mode!r}")
+    if midas_model_type not in MIDAS_MODELS:
+        raise InputError(f"midas_model_type {midas_model_type!r} is unknown; there are {sorted(MIDAS_MODELS)}")
+    if config_mode != "infer":
+        compat = (*compat, "squeeze")
+    config = with_encoder(PRESETS[preset], MIDAS_MODELS[midas_model_type])
+    if not pretrained:
+        return OriginalInterface(ZoeDepth(with_compat(config, compat)).eval())
+    if ENCODERS[MIDAS_MODELS[midas_model_type]] != PRESETS[preset].encoder:
+        raise InputError(f"pretrained weights are of DPT_BEiT_L_384 only, not of {midas_model_type}")
+    model = _load(preset if pretrained is True else pretrained, compat)
+    if _kind(model.config) != _kind(config):
+        raise InputError(
+            f"{pretrained} is no {preset}: it has {_kind(model.config)}, not {_kind(config)} (domains, kind of centers)"
+        )
+    return OriginalInterface(model)
+
+
+def _load(source: str, compat: tuple[str, ...]) -> ZoeDepth:
+    from zoedepth.download import download
+    from zoedepth.pretrained import load_model
+    from zoedepth.releases import download_folder
+
+    source = source.removeprefix("local::").removeprefix("url::")
+    if source.startswith(("http://", "https://")):
+        source = str(download(source, download_folder() / Path(urlparse(source).path).name))
+    return load_model(source, compat=compat)
+
+
+def _kind(config: ModelConfig) -> tuple[int, str]:
+    """What tells N, K and NK apart."""
+    return len(config.domains), config.head.centers

@@ -1,0 +1,158 @@
+"""The convert and push commands, and the listing of models."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from tests.servers import FakeHub
+from tests.twins import KITTI, NYU, twin, twin_config
+
+from zoedepth.cli import main
+from zoedepth.convert.checkpoint import read_checkpoint
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.pretrained import load_model, save_model
+from zoedepth.releases import RELEASES
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small model of transformers with two heads."""
+    path = tmp_path_factory.mktemp("twin") / "twin"
+    twin(twin_config(heads=(NYU, KITTI))).save_pretrained(path)
+    return path
+
+
+def same(one: Path, other: Path) -> bool:
+    first, second = read_checkpoint(one), read_checkpoint(other)
+    return (
+        first.config == second.config
+        and first.weights.keys() == second.weights.keys()
+        and all(torch.equal(value, second.weights[name]) for name, value in first.weights.items())
+    )
+
+
+class TestConvert:
+    @pytest.mark.parametrize(
+        ("to", "target"),
+        [("zoedepth", "model"), ("zoedepth", "model.safetensors"), ("huggingface", "model")],
+    )
+    def test_there_and_loaded(self, to: str, target: str, folder: Path, tmp_path: Path, capsys):
+        assert main(["convert", str(folder), str(tmp_path / target), "--to", to]) == 0
+        assert capsys.readouterr().out.strip() == str(tmp_path / target)
+        assert same(folder, tmp_path / target)
+
+    def test_original(self, folder: Path, tmp_path: Path):
+        """The original has fixed names of its heads, and no sizes but what the shapes tell."""
+        assert main(["convert", str(folder), str(tmp_path / "model.pt"), "--to", "original"]) == 0
+        state = torch.load(tmp_path / "model.pt", weights_only=True)["model"]
+        assert "attractors.kitti.3._net.2.weight" in state
+        x = torch.rand(1, 3, 64, 64)
+        with torch.no_grad():
+            assert torch.equal(load_model(tmp_path / "model.pt")(x).depth, load_model(folder)(x).depth)
+
+    def test_card_has_name_and_licence(self, folder: Path, tmp_path: Path):
+        options = ["--to", "huggingface", "--name", "Kitchens", "--licence", "mit"]
+        assert main(["convert", str(folder), str(tmp_path / "model"), *options]) == 0
+        card = (tmp_path / "model" / "README.md").read_text()
+        assert "license: mit" in card
+        assert "# Kitchens" in card
+
+    def test_damaged_source_writes_nothing(self, folder: Path, tmp_path: Path, capsys):
+        broken = tmp_path / "broken.safetensors"
+        broken.write_bytes((folder / "model.safetensors").read_bytes()[:-100])
+        assert main(["convert", str(broken), str(tmp_path / "model"), "--to", "zoedepth"]) == 2
+        assert "broken.safetensors" in capsys.readouterr().err
+        assert [path.name for path in tmp_path.iterdir()] == ["broken.safetensors"]
+
+    def test_weights_that_do_not_fit_are_not_written_on(self, tiny_model: ZoeDepth, tmp_path: Path, capsys):
+        """The bytes are whole, but no model would load them."""
+        with torch.no_grad():
+            tiny_model.shared.bottleneck.weight[0] = float("nan")
+        save_model(tiny_model, tmp_path / "nan.safetensors")
+        assert main(["convert", str(tmp_path / "nan.safetensors"), str(tmp_path / "out"), "--to", "zoedepth"]) == 2
+        assert "not finite" in capsys.readouterr().err
+        assert not (tmp_path / "out").exists()
+
+    def test_existing_folder_is_kept(self, folder: Path, tmp_path: Path, capsys):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "mine.txt").write_text("mine")
+        assert main(["convert", str(folder), str(tmp_path / "out"), "--to", "zoedepth"]) == 2
+        assert "is there already" in capsys.readouterr().err
+        assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]
+
+    def test_model_the_other_layout_has_not(self, tmp_path: Path, capsys):
+        assert main(["convert", "zoed-lite", str(tmp_path / "out"), "--to", "huggingface"]) == 2
+        assert "transformers' ZoeDepth has no such model: encoder family 'convolutional'" in capsys.readouterr().err
+        assert list(tmp_path.iterdir()) == []
+
+    def test_shipped_model_as_a_folder(self, tmp_path: Path):
+        assert main(["convert", "zoed-lite", str(tmp_path / "lite"), "--to", "zoedepth"]) == 0
+        assert same(RELEASES["zoed-lite"].path, tmp_path / "lite")
+        size, shipped = (
+            path.stat().st_size for path in (tmp_path / "lite/model.safetensors", RELEASES["zoed-lite"].path)
+        )
+        assert abs(size - shipped) < 10_000, "16 bits stay 16 bits"
+
+
+class TestPush:
+    def test_published_model_is_loaded_by_its_id(self, folder: Path, tmp_path: Path):
+        """In processes of their own, as the hub's address is read when they start."""
+        code = "import sys; from zoedepth.cli import main; sys.exit(main(sys.argv[1:]))"
+        with FakeHub({}) as hub:
+            environment = {**os.environ, **hub.environment(tmp_path / "home", token="hf_right")}
+            command = [sys.executable, "-c", code, "push", str(folder), "me/model", "--to", "huggingface"]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+            assert "me/model" in done.stdout
+            command = [sys.executable, "-c", code, "convert", "me/model", str(tmp_path / "back"), "--to", "zoedepth"]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
+        assert read_checkpoint(tmp_path / "back").config == read_checkpoint(folder).config
+
+    def test_dry_run_prints_the_card_and_needs_no_network(self, folder: Path, capsys):
+        assert main(["push", str(folder), "me/model", "--dry-run", "--licence", "mit"]) == 0
+        assert "license: mit" in capsys.readouterr().out
+
+    def test_no_id(self, folder: Path, capsys):
+        assert main(["push", str(folder), "model"]) == 2
+        assert "owner/name" in capsys.readouterr().err
+
+
+class TestModels:
+    @pytest.fixture(autouse=True)
+    def empty_home(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+
+    def test_all_with_licence_source_and_presence(self, tmp_path: Path, capsys):
+        assert main(["models", "--json"]) == 0
+        found = {entry["name"]: entry for entry in map(json.loads, capsys.readouterr().out.splitlines())}
+        assert set(found) == set(RELEASES)
+        assert found["zoed-lite"]["present"]
+        assert not found["zoed-m12-nk"]["present"]
+        assert found["zoed-m12-nk"]["url"].startswith("https://github.com/isl-org/ZoeDepth/releases/")
+        assert found["zoed-m12-nk"]["licence"] == "MIT"
+        path = Path(found["zoed-m12-nk"]["path"])
+        assert path == tmp_path / "hub" / "checkpoints" / "ZoeD_M12_NK.pt"
+        path.parent.mkdir(parents=True)
+        path.touch()
+        assert main(["models", "--json"]) == 0
+        again = {entry["name"]: entry for entry in map(json.loads, capsys.readouterr().out.splitlines())}
+        assert again["zoed-m12-nk"]["present"]
+
+    def test_text(self, capsys):
+        assert main(["models"]) == 0
+        text = capsys.readouterr().out
+        for name, release in RELEASES.items():
+            assert name in text
+            assert release.what in text
+        assert max(map(len, text.splitlines()[:-1])) <= 90, "the last line is a path"
+
+    def test_file_put_there_by_hand_is_loaded_by_its_name(self, folder: Path):
+        path = RELEASES["zoed-m12-nk"].path
+        path.parent.mkdir(parents=True)
+        assert main(["convert", str(folder), str(path), "--to", "original"]) == 0
+        assert load_model("zoed-m12-nk").config.domains[1].name == "outdoor"
