@@ -116,13 +116,15 @@ def test_model_is_downloaded_once_and_then_works_without_network(hub: FakeHub, h
     assert run(hub.environment(home, offline=True), "fetch('lab/model')", "cached('lab/model')") == [folder, "True"]
 
 
-def test_only_the_two_files_are_downloaded_and_of_one_commit(hub: FakeHub, home: Path):
+def test_only_weights_and_configs_are_downloaded_and_of_one_commit(hub: FakeHub, home: Path):
     """Weights are asked for by the commit of the config, so that a push in between cannot mix two models."""
     hub.repos["lab/model"] |= {"pytorch_model.bin": b"danger", "modeling.py": b"danger", "README.md": b"# Model"}
+    hub.repos["lab/model"]["preprocessor_config.json"] = b"{}"
     (folder,) = run(hub.environment(home), "fetch('lab/model')")
-    check(folder)
+    files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
+    assert files == MODEL | {"preprocessor_config.json": b"{}"}
     asked = [request.split("/")[-2:] for request in hub.requests if "/resolve/" in request]
-    assert {file for _, file in asked} == set(MODEL)
+    assert {file for _, file in asked} == {*MODEL, "preprocessor_config.json"}
     assert {revision for revision, file in asked if file == "model.safetensors"} == {hub.commit("lab/model")}
 
 

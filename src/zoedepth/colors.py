@@ -203,7 +203,7 @@ def _ticks(vmin: float, vmax: float, *, count: int) -> np.ndarray:
         first, last = np.ceil(vmin / step - 1e-9), np.floor(vmax / step + 1e-9)
         if last - first + 1 <= count + 1:
             break
-    values = np.arange(first, last + 1) * step
+    values = np.arange(first, last + 1) * step + 0.0  # no -0
     return values if values.size else np.array([(vmin + vmax) / 2])
 
 

@@ -1,8 +1,8 @@
-"""Models on the Hugging Face Hub: the two files of a model, from there, from the cache, and back.
+"""Models on the Hugging Face Hub: the files of a model, from there, from the cache, and back.
 
 ``huggingface_hub`` keeps the cache (``HF_HOME``), the token (``HF_TOKEN``) and the offline switch
-(``HF_HUB_OFFLINE``); it is imported when used. Only ``config.json`` and ``model.safetensors`` are ever downloaded: no
-pickles, and no code.
+(``HF_HUB_OFFLINE``); it is imported when used. Only weights in safetensors and JSON are ever downloaded: no pickles,
+and no code.
 """
 
 from pathlib import Path
@@ -11,6 +11,8 @@ from zoedepth.errors import InputError
 
 CONFIG = "config.json"
 WEIGHTS = "model.safetensors"
+PREPROCESSOR = "preprocessor_config.json"
+"""How large photos are made; folders of transformers have it, ours have the size in their config."""
 
 _FILE_SUFFIXES = (".safetensors", ".pt", ".pth", ".ckpt", ".bin", ".json", ".onnx")
 _LOG_IN = "set HF_TOKEN to a token of yours, or run `hf auth login`"
@@ -36,6 +38,8 @@ def is_hub_id(name: str) -> bool:
 def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     """The local folder with ``config.json`` and ``model.safetensors`` of a model on the Hub.
 
+    ``preprocessor_config.json`` comes along where there is one.
+
     What is in the cache is not downloaded again, and is used as it is when the network cannot be reached or
     ``HF_HUB_OFFLINE`` is set.
 
@@ -51,17 +55,21 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
             in the cache and the network cannot be used. The message says what to do.
     """
     _require_hub_id(repo_id)
-    from huggingface_hub import hf_hub_download
+    from huggingface_hub import hf_hub_download, try_to_load_from_cache
+    from huggingface_hub.errors import EntryNotFoundError
 
     folder, wanted = Path(), revision
-    for name in (CONFIG, WEIGHTS):
+    for name in (CONFIG, WEIGHTS, PREPROCESSOR):
+        if name == PREPROCESSOR and try_to_load_from_cache(repo_id, name, revision=wanted) is not None:
+            break  # it is here, or known not to exist
         try:
             folder = Path(hf_hub_download(repo_id, name, revision=wanted)).parent
-        except (
-            Exception
-        ) as error:  # the Hub's, the HTTP client's and the operating system's, and those of a faster client
+        except EntryNotFoundError as error:
+            if name != PREPROCESSOR:
+                raise _fetch_error(error, repo_id, name, revision) from error
+        except Exception as error:  # the Hub's, the HTTP client's, the operating system's, those of a faster client
             raise _fetch_error(error, repo_id, name, revision) from error
-        # The folder is named after the commit: both files come from one, whatever is pushed in the meantime.
+        # The folder is named after the commit: all files come from one, whatever is pushed in the meantime.
         wanted = folder.name
     return folder
 

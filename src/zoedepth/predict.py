@@ -194,7 +194,8 @@ class Predictor:
     def relative(self, image: Any) -> DepthArray:
         """Relative depth of one photo: inverse depth up to an unknown scale and shift, near is large.
 
-        Every model has it: it is what the metric heads are built on, and all that MiDaS gives.
+        It is what MiDaS gives and stage 1 trains. Stage 2 goes on from there with a loss on metres alone, which nothing
+        keeps this map right under: of a model with metric heads take it for a look inside.
 
         Args:
             image: see ``__call__``.

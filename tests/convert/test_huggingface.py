@@ -261,11 +261,18 @@ def test_published_k_says_10_m_and_is_used_to_80_m():
     with pytest.warns(UserWarning, match="trained to 80 m"):
         config = released_k(10.0)
     assert config.domains == PRESETS["zoed-m12-k"].domains
-    assert config.head == PRESETS["zoed-m12-k"].head
+    assert config == PRESETS["zoed-m12-k"]
 
 
 def test_k_that_says_80_m_is_believed():
     assert [domain.max_depth for domain in released_k(80.0).domains] == [80.0]
+
+
+def test_k_of_other_sizes_is_believed_too():
+    """A small twin that says 10 m means it."""
+    theirs = twin(twin_config(centers="normed"))
+    config, _, _ = huggingface.read(theirs.state_dict(), theirs.config.to_dict(), layout=5)
+    assert [domain.max_depth for domain in config.domains] == [10.0]
 
 
 @torch.no_grad()

@@ -71,7 +71,7 @@ def predict(
         pad: reflect the borders outwards before the network, against artefacts at the border.
         domain: scene type whose head to use, e.g. indoor; None leaves it to the model's router, photo by photo.
         relative: write relative depth (inverse, without a unit) instead: NAME_relative.png, the nearest 65535. Models
-            without a metric head give nothing else.
+            without a metric head (MiDaS) give nothing else; of others it is a look inside that no loss kept right.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
         png_scale: levels per metre of the PNG. None: 1000 (millimetres), or 256 for a depth map beyond 65.535 m.
         vmin: depth of the first colour in metres; None: from each photo. Set both to compare previews.

@@ -159,7 +159,11 @@ def _bins(config: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _config(
-    config: Mapping[str, Any], weights: Mapping[str, Tensor], *, bins: list[dict[str, Any]], size: tuple[int, int]
+    config: Mapping[str, Any],
+    weights: Mapping[str, Tensor],
+    *,
+    bins: list[dict[str, Any]],
+    size: tuple[int, int] | None,
 ) -> ModelConfig:
     """Our config: what shapes tell is read from them, and the strict loading after it compares them all."""
     backbone = config.get("backbone_config") or {}
@@ -181,29 +185,30 @@ def _config(
         weights,
         head=head,
         domains=tuple(_domain(entry) for entry in bins),
-        size=size,
+        size=size or PRESETS["zoed-m12-n"].size,
         encoder=shapes.beit(weights, native=_native(backbone), taps=_taps(backbone)),
         attention_heads=heads if isinstance(heads, int) else 4,
     )
-    return _with_right_range(model)
+    return _as_released(model, size=size)
 
 
-def _with_right_range(model: ModelConfig) -> ModelConfig:
-    """ZoeD-K with the range it was trained at.
+def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
+    """ZoeD-K with the range, and where no file says otherwise the input size, that it was trained at.
 
     The published config.json of it says 10 m, as the original's code does by default: every depth is then 8 times too
     small. Nobody can have trained a model of these very sizes with transformers, which does not train.
     """
     released = PRESETS["zoed-m12-k"]
-    domain = model.domains[0]
-    if domain.max_depth == 10.0 and replace(model, domains=released.domains, size=released.size) == released:
+    if replace(model, domains=released.domains, size=released.size) != released:
+        return model
+    if model.domains[0].max_depth == 10.0:
         warnings.warn(
             "config.json says that this ZoeD-K reaches 10 m; it was trained to 80 m, and is used so: depths are "
             "(d - 0.001) * 79.999 / 9.999 + 0.001 of what transformers gives. The old range: compat=['10m']",
             stacklevel=2,
         )
-        return replace(model, domains=released.domains)
-    return model
+        model = replace(model, domains=released.domains)
+    return replace(model, size=size or released.size)
 
 
 def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, Any]) -> None:
@@ -268,15 +273,12 @@ def _taps(backbone: Mapping[str, Any]) -> tuple[int, ...] | None:
     return tuple(number - 1 for number in numbers)
 
 
-def _size(preprocessor: Mapping[str, Any] | None) -> tuple[int, int]:
-    default = PRESETS["zoed-m12-n"].size
+def _size(preprocessor: Mapping[str, Any] | None) -> tuple[int, int] | None:
     size = (preprocessor or {}).get("size")
     if not isinstance(size, dict):
-        return default
+        return None
     height, width = size.get("height"), size.get("width")
-    if not isinstance(height, int) or not isinstance(width, int):
-        return default
-    return height, width
+    return (height, width) if isinstance(height, int) and isinstance(width, int) else None
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------
@@ -288,7 +290,8 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     Raises:
         InputError: transformers has no such model.
     """
-    _refuse(config)
+    if problems := original.refusals(config):
+        raise InputError(f"transformers' ZoeDepth has no such model: {'; '.join(problems)}")
     names = tuple(original.DOMAINS.get(domain.name, domain.name) for domain in config.domains)
     theirs = table(names, layout=4).to_theirs(weights)
     width = config.decoder.widths[3]
@@ -297,24 +300,6 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
         unit = f"neck.fusion_stage.layers.0.residual_layer1.{conv}"
         theirs[f"{unit}.weight"], theirs[f"{unit}.bias"] = torch.zeros(width, width, 3, 3), torch.zeros(width)
     return theirs
-
-
-def _refuse(config: ModelConfig) -> None:
-    head, embedding = config.head, config.head.embedding_width
-    one = len(config.domains) == 1
-    problems = original.refusals(config)
-    fixed = {
-        "projector_width": (head.projector_width, 128 if one else embedding // 2),
-        "seed_width": (head.seed_width, 256 if one else embedding // 2),
-        "n_attractors": (head.n_attractors, head.n_attractors if one else (16, 16, 16, 16)),
-        "router.width": (config.router.width, config.router.width if one else 128),
-        "ratio of attractors": (head.centers == "normed" and head.attractor_ratio, False),
-    }
-    problems += [
-        f"{name} {value!r} (it has {known!r} only)" for name, (value, known) in fixed.items() if value != known
-    ]
-    if problems:
-        raise InputError(f"transformers' ZoeDepth has no such model: {'; '.join(problems)}")
 
 
 def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any]:

@@ -98,6 +98,12 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     """
     problems = refusals(config)
     names = tuple(domain.name for domain in config.domains)
+    router, embedding = config.router, config.head.embedding_width
+    if len(names) == 2:
+        fixed = {"attention heads": (router.attention_heads, 4), "router's MLP": (router.feedforward_width, 1024)}
+    else:
+        fixed = {"embedding_width": (embedding, 128)}
+    problems += differences(fixed)
     if len(names) == 2 and names != tuple(DOMAINS):
         problems.append(f"domains {names} (the original has {tuple(DOMAINS)} only)")
     # Its file holds no config: what is read back from the weights must be this model again.
@@ -105,6 +111,8 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
         again = config_of(weights)
         if again.head != replace(config.head, initial_centers="random", attractor_ratio=again.head.attractor_ratio):
             problems.append("a head whose kind cannot be told from its weights")
+        elif (again.encoder.size, again.encoder.taps) != (config.encoder.size, config.encoder.taps):
+            problems.append("an encoder whose size or taps cannot be told from its weights")
         elif config.head.centers == "normed" and _range(again) != _range(config):
             problems.append(f"a depth range of {_range(config)} m (it takes {_range(again)} m for normed centers)")
     if problems:
@@ -115,8 +123,8 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
 
 def refusals(config: ModelConfig) -> list[str]:
     """What a config has that neither the original's code nor transformers can do."""
-    head, released = config.head, PRESETS["zoed-m12-n"].head
-    values = {
+    head, released, embedding = config.head, PRESETS["zoed-m12-n"].head, config.head.embedding_width
+    values: dict[str, tuple[object, object]] = {
         "encoder family": (config.encoder.family, "beit"),
         "output stride": (config.decoder.output_stride, 1),
         "decoder widths": (len(set(config.decoder.widths)), 1),
@@ -133,13 +141,24 @@ def refusals(config: ModelConfig) -> list[str]:
             "relative input": (head.relative_input, False),
             "bottleneck factor": (head.bottleneck_factor, 4),
             "number of domains": (len(config.domains), 2),
+            "projector_width": (head.projector_width, embedding // 2),
+            "seed_width": (head.seed_width, embedding // 2),
+            "n_attractors": (head.n_attractors, (16, 16, 16, 16)),
+            "router.width": (config.router.width, 128),
         }
     else:
         values |= {
             "number of domains": (len(config.domains), 1),
             "relative input": (head.relative_input, True),
             "bottleneck factor": (head.bottleneck_factor, 2),
+            "projector_width": (head.projector_width, 128),
+            "seed_width": (head.seed_width, 256),
         }
+    return differences(values)
+
+
+def differences(values: Mapping[str, tuple[object, object]]) -> list[str]:
+    """What is said of each name whose value is not the only one that is known."""
     return [f"{name} {value!r} (it has {known!r} only)" for name, (value, known) in values.items() if value != known]
 
 

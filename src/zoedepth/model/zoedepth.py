@@ -116,6 +116,8 @@ class ZoeDepth(nn.Module):
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Relative depth alone, as MiDaS: inverse depth up to an unknown scale and shift, >= 0, near is large.
 
+        Stage 1 trains it; the loss of stage 2 does not keep it right.
+
         Args:
             pixels: as in ``forward``.
 
