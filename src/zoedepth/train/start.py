@@ -7,7 +7,7 @@ import torch
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.encoder import PyramidNetwork
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model
+from zoedepth.pretrained import load_model, misfits
 
 IMAGENET = "imagenet"
 """Name that stands for the encoder's ImageNet weights."""
@@ -19,8 +19,8 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
     Args:
         model: changed in place.
         source: None for the random weights it has; "imagenet" for an encoder's weights that install as a package; or a
-            name or path for ``load_model``, for example the result of stage 1. Encoder and decoder are taken from it,
-            and the heads and the router too where both configs agree on everything.
+            name or path for ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and
+            decoder are taken from it, and the heads and the router too where both configs agree on everything.
 
     Returns:
         What was loaded, in words.
@@ -37,8 +37,16 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
     if other.config == model.config:
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"
-    if (other.config.encoder, other.config.decoder) != (model.config.encoder, model.config.decoder):
-        raise InputError(f"{source} has another encoder or decoder than the model to train; it cannot start it")
+    for name, wanted, given in (
+        ("encoder", model.encoder.state_dict(), other.encoder.state_dict()),
+        ("decoder", model.decoder.state_dict(), other.decoder.state_dict()),
+    ):
+        if problems := misfits(wanted, given):
+            problem, weight, details = min(problems)
+            raise InputError(
+                f"{source} has another {name} than the model to train, it cannot start it "
+                f"({len(problems)} problems, the first: {problem} {name}.{weight}{details})"
+            )
     model.encoder.load_state_dict(other.encoder.state_dict())
     model.decoder.load_state_dict(other.decoder.state_dict())
     return f"encoder and decoder of {source}, heads and router random"
