@@ -108,7 +108,8 @@ class OriginalInterface(nn.Module):
 
         Args:
             pil_img: of any mode; its EXIF orientation is not applied, as in the original.
-            pad_input, with_flip_aug: see ``infer``.
+            pad_input: see ``infer``.
+            with_flip_aug: see ``infer``.
             output_type: "numpy" float32 (height, width), metres; "tensor" the same on the CPU; "pil" a 16-bit image of
                 256 levels a metre, 255.996 m at most (the original wraps around there).
 
