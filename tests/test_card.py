@@ -13,7 +13,9 @@ from zoedepth.metrics import Metrics
 from zoedepth.presets import PRESETS
 
 NK = PRESETS["zoed-m12-nk"]
-METRICS = Metrics(rel=0.075, rmse=0.27, log10=0.032, delta1=0.955, delta2=0.995, delta3=0.999)
+METRICS = Metrics(
+    rel=0.075, rmse=0.27, log10=0.032, delta1=0.955, delta2=0.995, delta3=0.999, silog=8.0, sq_rel=0.02, rmse_log=0.1
+)
 
 
 def card(

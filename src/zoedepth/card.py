@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any, Literal
 
 from zoedepth.config import ModelConfig
-from zoedepth.metrics import Metrics
+from zoedepth.metrics import HEADINGS, Metrics
 
 # The Hub takes the names of its list only (huggingface.co/docs/hub/repositories-licenses); these are the ones weights
 # come under. A licence that is not among them goes under "other", which is always right.
@@ -17,10 +17,6 @@ _LICENCES = frozenset({
     "cc-by-nc-nd-4.0", "cc-by-nc-sa-3.0", "cc-by-nc-sa-4.0", "creativeml-openrail-m", "gpl-2.0", "gpl-3.0", "lgpl-2.1",
     "lgpl-3.0", "mit", "mpl-2.0", "odbl", "odc-by", "openrail", "openrail++", "unknown", "unlicense",
 })  # fmt: skip
-
-_HEADINGS = {
-    "rel": "REL", "rmse": "RMSE (m)", "log10": "log10", "delta1": "delta1", "delta2": "delta2", "delta3": "delta3",
-}  # fmt: skip
 
 _CITATION = r"""
 ```bibtex
@@ -100,7 +96,7 @@ def _result(data: str, metrics: Metrics) -> dict[str, Any]:
         "task": {"type": "depth-estimation", "name": "Monocular depth estimation"},
         "dataset": {"type": _slug(data), "name": _one_line(data)},
         "metrics": [
-            {"type": field.name, "value": float(getattr(metrics, field.name)), "name": _HEADINGS[field.name]}
+            {"type": field.name, "value": float(getattr(metrics, field.name)), "name": HEADINGS[field.name]}
             for field in fields(metrics)
         ],
     }
@@ -165,7 +161,7 @@ def _quoted(text: str) -> str:
 
 def _table(metrics: Mapping[str, Metrics]) -> str:
     names = [field.name for field in fields(Metrics)]
-    rows = [["data", *(_HEADINGS[name] for name in names)], ["---"] * (len(names) + 1)]
+    rows = [["data", *(HEADINGS[name] for name in names)], ["---"] * (len(names) + 1)]
     rows += [[_cell(data), *(f"{getattr(values, name):.3f}" for name in names)] for data, values in metrics.items()]
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 

@@ -1,5 +1,7 @@
-"""The paper's metrics, in float64, image by image (section 4.3)."""
+"""The field's metrics, in float64: of an image, as a mean over images (the paper's), or over all pixels at once."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -10,7 +12,7 @@ from zoedepth.errors import InputError
 
 @dataclass(frozen=True)
 class Metrics:
-    """Errors of one image, or their means over images."""
+    """Errors of one image, of a set of pixels, or their means over images."""
 
     rel: float
     """Mean of |truth - prediction| / truth."""
@@ -24,6 +26,91 @@ class Metrics:
     """The same below 1.25 ** 2."""
     delta3: float
     """The same below 1.25 ** 3."""
+    silog: float
+    """100 times the standard deviation of ln prediction - ln truth: the error that no factor mends."""
+    sq_rel: float
+    """Mean of (truth - prediction) ** 2 / truth, metres."""
+    rmse_log: float
+    """Root mean square of ln prediction - ln truth."""
+
+
+HEADINGS = {
+    "rel": "REL", "rmse": "RMSE (m)", "log10": "log10", "delta1": "delta1", "delta2": "delta2", "delta3": "delta3",
+    "silog": "SILog", "sq_rel": "SqRel (m)", "rmse_log": "RMSE log",
+}  # fmt: skip
+"""What the columns of tables are called, with units."""
+
+HIGHER_IS_BETTER = frozenset({"delta1", "delta2", "delta3"})
+"""Metrics that measure agreement; the others measure error."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """What the metrics of a set of pixels are made of: those of two sets give those of both, whoever computed them."""
+
+    n_pixels: int = 0
+    rel: float = 0.0
+    square: float = 0.0
+    log10: float = 0.0
+    delta1: int = 0
+    delta2: int = 0
+    delta3: int = 0
+    log: float = 0.0
+    log_deviation: float = 0.0
+    """Sum of squared deviations of ln prediction - ln truth from their own mean."""
+    sq_rel: float = 0.0
+
+    def metrics(self) -> Metrics:
+        """The metrics of these pixels.
+
+        Raises:
+            InputError: there are none.
+        """
+        n = self.n_pixels
+        if not n:
+            raise InputError("no pixel to score")
+        variance = self.log_deviation / n
+        return Metrics(
+            rel=self.rel / n,
+            rmse=math.sqrt(self.square / n),
+            log10=self.log10 / n,
+            delta1=self.delta1 / n,
+            delta2=self.delta2 / n,
+            delta3=self.delta3 / n,
+            silog=100 * math.sqrt(variance),
+            sq_rel=self.sq_rel / n,
+            rmse_log=math.sqrt(variance + (self.log / n) ** 2),
+        )
+
+
+def pixel_sums(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]) -> Sums:
+    """Sums over the known pixels of one image, both in metres and > 0.
+
+    Raises:
+        InputError: different numbers of pixels, or values that are not finite and positive.
+    """
+    prediction, truth = prediction.astype(np.float64), truth.astype(np.float64)
+    if prediction.shape != truth.shape or prediction.ndim != 1:
+        raise InputError(f"need two equally long lists of pixels; got {prediction.shape} and {truth.shape}")
+    for name, values in (("prediction", prediction), ("truth", truth)):
+        if not (np.isfinite(values) & (values > 0)).all():
+            raise InputError(f"the {name} must be finite and > 0 metres at every pixel that is scored")
+    error = prediction - truth
+    log = np.log(prediction) - np.log(truth)
+    ratio = np.maximum(truth / prediction, prediction / truth)
+    return Sums(
+        n_pixels=len(truth),
+        rel=float(np.sum(np.abs(error) / truth)),
+        square=float(np.sum(error**2)),
+        log10=float(np.sum(np.abs(log))) / math.log(10),
+        delta1=int(np.sum(ratio < 1.25)),
+        delta2=int(np.sum(ratio < 1.25**2)),
+        delta3=int(np.sum(ratio < 1.25**3)),
+        log=float(np.sum(log)),
+        # Not sum(log ** 2) - n mean ** 2, which leaves 1e-7 of an error that is one factor everywhere.
+        log_deviation=float(np.sum((log - log.mean()) ** 2)) if len(log) else 0.0,
+        sq_rel=float(np.sum(error**2 / truth)),
+    )
 
 
 def compute_metrics(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]) -> Metrics:
@@ -32,29 +119,37 @@ def compute_metrics(prediction: Float[np.ndarray, " pixels"], truth: Float[np.nd
     Raises:
         InputError: no pixels, different numbers of them, or values that are not finite and positive.
     """
-    prediction, truth = prediction.astype(np.float64), truth.astype(np.float64)
-    if prediction.shape != truth.shape or prediction.ndim != 1 or not len(truth):
-        raise InputError(f"need two equally long lists of pixels; got {prediction.shape} and {truth.shape}")
-    for name, values in (("prediction", prediction), ("truth", truth)):
-        if not (np.isfinite(values) & (values > 0)).all():
-            raise InputError(f"the {name} must be finite and > 0 metres at every pixel that is scored")
-    ratio = np.maximum(truth / prediction, prediction / truth)
-    return Metrics(
-        rel=float(np.mean(np.abs(truth - prediction) / truth)),
-        rmse=float(np.sqrt(np.mean((truth - prediction) ** 2))),
-        log10=float(np.mean(np.abs(np.log10(truth) - np.log10(prediction)))),
-        delta1=float(np.mean(ratio < 1.25)),
-        delta2=float(np.mean(ratio < 1.25**2)),
-        delta3=float(np.mean(ratio < 1.25**3)),
-    )
+    return pixel_sums(prediction, truth).metrics()
 
 
-def mean_metrics(images: list[Metrics]) -> Metrics:
-    """Mean over images, as the paper reports them.
+def mean_metrics(images: Sequence[Metrics]) -> Metrics:
+    """Mean over images, as the paper reports them. Exact: the order of the images does not matter.
 
     Raises:
         InputError: there are none.
     """
     if not images:
         raise InputError("no image to average: none has a known pixel under this protocol")
-    return Metrics(**{f.name: float(np.mean([getattr(image, f.name) for image in images])) for f in fields(Metrics)})
+    return Metrics(**{f.name: math.fsum(getattr(image, f.name) for image in images) / len(images)
+                      for f in fields(Metrics)})  # fmt: skip
+
+
+def pooled_metrics(images: Sequence[Sums]) -> Metrics:
+    """Metrics of all pixels of all images at once: an image counts by its known pixels. Exact in any order.
+
+    Raises:
+        InputError: there is no pixel.
+    """
+    return add_sums(images).metrics()
+
+
+def add_sums(sums: Sequence[Sums]) -> Sums:
+    """The sums of all sets together, whatever their order."""
+    columns = {f.name: [getattr(one, f.name) for one in sums] for f in fields(Sums)}
+    totals = {name: sum(values) if name in _COUNTS else math.fsum(values) for name, values in columns.items()}
+    mean = totals["log"] / max(totals["n_pixels"], 1)
+    between = (one.n_pixels * (one.log / one.n_pixels - mean) ** 2 for one in sums if one.n_pixels)
+    return Sums(**{**totals, "log_deviation": math.fsum([totals["log_deviation"], *between])})
+
+
+_COUNTS = ("n_pixels", "delta1", "delta2", "delta3")

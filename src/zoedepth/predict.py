@@ -100,6 +100,7 @@ class Predictor:
         pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts.
         upsampling: of the depth to the photo's size: "bicubic" as the original's ``infer``, or "bilinear" (corners
             aligned) as its evaluation.
+        resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``; None: what the model's config says.
         device: where to run, "auto" for the best there is; None stays where the model is.
         precision: "bfloat16" runs the model under autocast; the output is float32 either way.
 
@@ -114,6 +115,7 @@ class Predictor:
         flip_average: bool = True,
         pad: bool = True,
         upsampling: Literal["bicubic", "bilinear"] = "bicubic",
+        resize: Literal["keep-aspect", "squeeze"] | None = None,
         device: str | torch.device | None = None,
         precision: Literal["float32", "bfloat16"] = "float32",
     ) -> None:
@@ -126,6 +128,9 @@ class Predictor:
         self.flip_average = flip_average
         self.pad = pad
         self.upsampling = upsampling
+        self.keep_aspect_ratio = model.config.keep_aspect_ratio and resize != "squeeze"
+        if resize == "keep-aspect" and model.config.encoder.family != "swin":
+            self.keep_aspect_ratio = True
         self.precision = precision
 
     def __call__(self, image: Any, *, domain: str | None = None) -> DepthMap:
@@ -225,7 +230,7 @@ class Predictor:
         padding = self._padding(size)
         padded = (size[0] + 2 * padding[0], size[1] + 2 * padding[1])
         height, width = network_size(
-            padded, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio
+            padded, config.size, multiple=config.multiple, keep_aspect_ratio=self.keep_aspect_ratio
         )
         if height * width > MAX_NETWORK_AREA * config.size[0] * config.size[1]:
             raise InputError(f"a photo of {size[1]} x {size[0]} pixels is too long and narrow: cut it into parts")

@@ -8,7 +8,6 @@ import os
 import pickle
 import resource
 import shutil
-import warnings
 import zipfile
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -29,6 +28,8 @@ from zoedepth.convert.checkpoint import write_checkpoint
 from zoedepth.convert.files import MAX_JSON_BYTES, MAX_JSON_NESTING, parse_json, read_json, read_tensors
 from zoedepth.errors import InputError
 from zoedepth.pretrained import load_model
+
+pytestmark = pytest.mark.filterwarnings("ignore")  # torch has some for odd files
 
 WEIGHTS = {"a.weight": torch.arange(6.0).view(2, 3), "a.count": torch.tensor(7), "b": torch.ones(3).half()}
 
@@ -204,17 +205,15 @@ def test_file_with_any_byte_wrong_is_read_or_refused(tmp_path: Path, kind: str):
     file = tmp_path / "file.pt"
     SOUND[kind](file)
     data = file.read_bytes()
-    refused = 0
-    for place in range(len(data)):
+    outcomes = []
+    for place in range(0, len(data), 3 if kind == "torch" else 1):
         file.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
         try:
-            weights, _ = read_tensors(file)
+            outcomes.append(all(isinstance(value, Tensor) for value in read_tensors(file)[0].values()))
         except InputError as error:
-            assert str(file) in str(error)
-            refused += 1
-        else:
-            assert all(isinstance(value, Tensor) for value in weights.values())
-    assert refused > 100
+            outcomes.append(str(error))
+    assert all(outcome is True or str(file) in outcome for outcome in outcomes)
+    assert len(set(outcomes)) > 3
 
 
 def test_compressed_archive_is_refused_before_it_is_unpacked(tmp_path: Path):
@@ -237,18 +236,15 @@ def test_archive_whose_entries_are_one_memory_is_refused(tmp_path: Path):
         read_tensors(tmp_path / "file.pt")
 
 
-def quantized() -> Tensor:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.qint8)
-
-
 NOT_PLAIN: dict[str, tuple[Callable[[], Any], str]] = {
     "expanded": (lambda: {"a": torch.zeros(1).expand(1_000_000)}, "'a' claims to be larger"),
     "many-names": (lambda: dict.fromkeys(map(str, range(1000)), torch.zeros(10_000)), "claims to be larger"),
     "sparse": (lambda: {"a": torch.eye(3).to_sparse()}, "'a' is no plain tensor"),
     "sparse-rows": (lambda: {"a": torch.eye(3).to_sparse_csr()}, "'a' is no plain tensor"),
-    "quantized": (lambda: {"a": quantized()}, "'a' is no plain tensor"),
+    "quantized": (
+        lambda: {"a": torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.qint8)},
+        "'a' is no plain tensor",
+    ),
     "meta": (lambda: {"a": torch.ones(3, device="meta")}, "'a' is no plain tensor"),
     "number-as-name": (lambda: {1: torch.ones(1)}, "'1' is a Tensor"),
     "tuple-as-name": (lambda: {("a",): torch.ones(1)}, "is no dictionary of weights"),
@@ -273,9 +269,7 @@ def test_what_is_no_dictionary_of_plain_tensors_is_refused(tmp_path: Path, case:
 
 
 def test_program_of_torch_is_refused(tmp_path: Path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torch.jit.trace(torch.nn.Linear(2, 2), torch.ones(1, 2)).save(str(tmp_path / "file.pt"))
+    torch.jit.trace(torch.nn.Linear(2, 2), torch.ones(1, 2)).save(str(tmp_path / "file.pt"))
     with pytest.raises(InputError, match=r"file.pt"):
         read_tensors(tmp_path / "file.pt")
 
@@ -391,10 +385,10 @@ class Valid:
     def copy(self, layout: str) -> tuple[Path, Path]:
         """A new copy of a layout's file or folder, and its file of weights."""
         source = getattr(self, layout)
+        # Not over the one before: tensors of an example that failed may still be read from it.
+        shutil.rmtree(self.folder / "spoilt", ignore_errors=True)
         target = self.folder / "spoilt" / source.name
-        if target.is_dir():
-            shutil.rmtree(target)
-        target.parent.mkdir(exist_ok=True)
+        target.parent.mkdir()
         if source.is_dir():
             shutil.copytree(source, target)
             return target, target / "model.safetensors"
@@ -425,8 +419,7 @@ def little_memory(n_bytes: int = 2**30) -> Iterator[None]:
 def check(path: Path) -> bool:
     """Whether the file loads; it must give a working model or a message."""
     try:
-        with little_memory(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with little_memory():
             model = load_model(path)
     except InputError as error:
         text = str(error)
@@ -439,6 +432,11 @@ def check(path: Path) -> bool:
     usual = all(value.abs().max() < 100 for value in model.state_dict().values() if value.numel())
     assert depth.isfinite().all() or not usual
     return True
+
+
+def test_memory_is_limited():
+    with little_memory(), pytest.raises(RuntimeError, match="memory"):
+        torch.empty(2**31)
 
 
 def test_unspoilt_files_load(valid: Valid):
@@ -482,7 +480,7 @@ def test_fuzzed_bytes(valid: Valid, layout: str, edit: Callable[[bytes], bytes],
     check(path)
 
 
-@settings(max_examples=60, **FUZZ)
+@settings(max_examples=40, **FUZZ)
 @given(edit=edits())
 def test_fuzzed_pickle_in_a_sound_archive(valid: Valid, edit: Callable[[bytes], bytes]):
     """The checksums of the archive are right, so that the pickle itself is read."""
@@ -542,7 +540,7 @@ def changes(draw: st.DrawFn) -> Callable[[Weights], Weights]:
             if kind == "rename":
                 weights[name] = weights.pop(one)
             elif kind == "respell":
-                middle = second % len(one)
+                middle = second % (len(one) + 1)
                 weights[one[:middle] + name + one[middle:]] = weights.pop(one)
             elif kind == "exchange":
                 weights[one], weights[other] = weights[other], weights[one]
@@ -566,7 +564,7 @@ def changes(draw: st.DrawFn) -> Callable[[Weights], Weights]:
     return apply
 
 
-@settings(max_examples=80, **FUZZ)
+@settings(max_examples=50, **FUZZ)
 @given(layout=LAYOUTS, change=changes())
 def test_fuzzed_weights(valid: Valid, layout: str, change: Callable[[Weights], Weights]):
     path, file = valid.copy(layout)
@@ -616,7 +614,7 @@ def put(values: Any, place: tuple, new: Any, *, drop: bool) -> None:
         values[last] = new
 
 
-@settings(max_examples=150, **FUZZ)
+@settings(max_examples=90, **FUZZ)
 @given(source=st.sampled_from(["ours", "config.json", "preprocessor_config.json"]), data=st.data())
 def test_fuzzed_config(valid: Valid, source: str, data: st.DataObject):
     path, file = valid.copy("ours" if source == "ours" else "huggingface")
@@ -636,7 +634,7 @@ def test_fuzzed_config(valid: Valid, source: str, data: st.DataObject):
     check(path)
 
 
-@settings(max_examples=25, **FUZZ)
+@settings(max_examples=15, **FUZZ)
 @given(name=st.integers(0, 10**6), kind=st.sampled_from(["system", "touch", "eval"]), legacy=st.booleans())
 @example(name=0, kind="touch", legacy=False)
 def test_fuzzed_with_code(valid: Valid, name: int, kind: str, legacy: bool):

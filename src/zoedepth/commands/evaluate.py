@@ -1,80 +1,297 @@
-"""``zoedepth evaluate --model MODEL --data CSV``."""
+"""``zoedepth evaluate --model MODEL --data NAME=CSV ... --out DIR``."""
 
+import hashlib
 import json
+import shlex
 import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from zoedepth.commands.data import named_paths
 from zoedepth.errors import InputError
+from zoedepth.evaluation.protocols import Protocol, find_protocol, protocol_of
+
+if TYPE_CHECKING:
+    from zoedepth.data.pairs import PairDataset
+    from zoedepth.evaluation.predictions import Source
+    from zoedepth.evaluation.summary import Summary
 
 
 def evaluate(
     *,
     data: tuple[str, ...],
-    model: str = "zoed-lite",
-    crop: Literal["auto", "none", "eigen", "garg"] = "auto",
+    model: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
+    predictions: tuple[str, ...] = (),
+    trivial: tuple[Path, ...] = (),
+    protocol: tuple[str, ...] = (),
+    crop: Literal["none", "eigen", "eigen-scaled", "garg"] | None = None,
+    min_depth: float | None = None,
     max_depth: float | None = None,
-    flip: bool = True,
+    flip: bool | None = None,
+    pad: bool | None = None,
+    resize: Literal["keep-aspect", "squeeze"] | None = None,
+    mean: Literal["images", "pixels"] | None = None,
+    align: Literal["none", "median", "disparity"] | None = None,
     compat: tuple[str, ...] = (),
+    out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    pictures: bool = True,
+    with_paper: bool = False,
+    device: str = "auto",
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
-    """Score a model on photos with known depth.
+    """Score models, and other people's depth maps, on photos with known depth.
 
     The protocol follows from the domain in the CSV file: indoor is NYU's (Eigen crop, 10 m), outdoor KITTI's (KB crop,
-    then Garg crop, 80 m).
+    then Garg crop, 80 m), any other has no crop. Every result carries the name and the hash of its protocol. Under
+    torchrun the processes share the images. An interrupted run with --out goes on when the command is typed again.
 
     Args:
         data: CSV files, or folders with a test.csv; PATH or NAME=PATH.
-        model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
-        crop: part of the picture that is scored.
+        model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or LABEL=any of them; give
+            the option again for more models. None, and nothing else to score: zoed-lite.
+        predictions: NAME=FOLDER with somebody's depth maps (.png, .npy, .npz), found by the photos' names.
+        trivial: CSV files of training data; adds what can be said without looking at a photo: the best constant, and
+            the mean depth map.
+        protocol: name of a protocol for all data, or DATA=PROTOCOL; see zoedepth.evaluation.protocols.PROTOCOLS.
+        crop: part of the true depth that is scored.
+        min_depth: nearest depth that is scored, metres.
         max_depth: cap, metres.
         flip: average with the prediction for the mirror image.
-        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
-        json_: print one JSON object for each data set, and nothing else.
+        pad: reflect the photo's borders outwards before the model.
+        resize: keep the photo's proportions, or squeeze it to the trained size (the paper).
+        mean: of metrics over images (the paper), or over all pixels.
+        align: median or disparity: give the prediction a factor, or scale and shift of its inverse, from the truth.
+        compat: behaviours of the original code to take over: batch-vote, 10m.
+        out: folder for scores (JSONL), tables (Markdown, LaTeX, JSON), pictures and plots.
+        pictures: also the pictures and plots.
+        with_paper: print what the paper published on these data sets beside it.
+        device: cpu, cuda, mps, or auto for the best there is.
+        json_: print one JSON object for each model and data set, and nothing else.
     """
     from rich.console import Console
-    from rich.progress import track
-    from rich.table import Table
+    from rich.table import Table as RichTable
 
-    from zoedepth.data.pairs import PairDataset
-    from zoedepth.evaluation.evaluate import evaluate as evaluate_model
-    from zoedepth.evaluation.protocols import protocol_of
-    from zoedepth.metrics import mean_metrics
-    from zoedepth.pretrained import load_model
+    from zoedepth.evaluation.evaluate import Processes
+    from zoedepth.evaluation.evaluate import evaluate as score_all
+    from zoedepth.evaluation.report import tables
+    from zoedepth.evaluation.summary import summarise
 
-    network = load_model(model, compat=compat)
-    if not network.config.domains:
-        raise InputError(f"{model} gives relative depth only, in which there are no metres to score")
-    console = Console(stderr=True)
-    table = Table("data", "images", "REL", "RMSE", "log10", "delta1", "delta2", "delta3", "router", title=f"{model}")
-    for name, path in named_paths(data).items():
-        dataset = PairDataset(path, split="test")
-        if "disparity" in dataset.kinds:
-            raise InputError(f"{dataset.path} has disparity, in which there are no metres to score")
-        groups = {}
-        for domain in dataset.domains:
-            protocol = replace(protocol_of(domain), flip_average=flip)
-            if crop != "auto":
-                protocol = replace(protocol, crop=crop)
-            groups[domain] = protocol if max_depth is None else replace(protocol, max_depth=max_depth)
-        scores, right = [], []
-        indices = track(range(len(dataset)), description=name, console=console, disable=not console.is_terminal)
-        for index in indices:
-            sample = dataset[index]
-            score = next(evaluate_model(network, [sample], groups[sample.domain]))
-            scores.append(score.metrics)
-            right.append(score.domain == sample.domain)
-        scored = [metrics for metrics in scores if metrics is not None]
-        means = asdict(mean_metrics(scored))
-        router = sum(right) / len(right) if len(network.config.domains) > 1 else None
-        record = {**means, "images": len(scored), "without_truth": len(scores) - len(scored), "router": router}
-        if json_:
-            print(json.dumps({"data": name, **record} if len(data) > 1 else record))
-        cells = [f"{value:.3f}" for value in means.values()]
-        table.add_row(name, str(len(scored)), *cells, "-" if router is None else f"{100 * router:.1f} %")
+    console = Console(stderr=True, highlight=False)
+    changes = {
+        "crop": crop, "min_depth": min_depth, "max_depth": max_depth, "flip_average": flip, "pad": pad,
+        "resize": resize, "mean": mean, "alignment": align,
+    }  # fmt: skip
+    changes = {name: value for name, value in changes.items() if value is not None}
+    sets = {name: _open(path) for name, path in named_paths(data).items()}
+    protocols = {name: _protocols(name, dataset, protocol, changes) for name, dataset in sets.items()}
+    sources = _sources(model, predictions, trivial, protocols, compat=compat, device=device)
+    processes = _join(Processes.from_environment())
+    summaries: list[Summary] = []
+    pictured = {}
+    n_failed = 0
+    for name, dataset in sets.items():
+        for label, (source, about) in sources.items():
+            folder = None if out is None else out / _slug(label) / _slug(name)
+            results = score_all(
+                source,
+                dataset,
+                protocols[name],
+                folder=folder,
+                about={"source": label, **about, "data": str(dataset.path)},
+                processes=processes,
+                track=lambda indices, label=label, name=name: _track(console, indices, f"{label} on {name}"),
+            )
+            for failure in results.failures:
+                console.print(f"failed: {name}, {failure}", soft_wrap=True, markup=False)
+            n_failed += len(results.failures)
+            scores = _meet(results.scores, folder, processes)
+            if processes.rank:
+                continue
+            summaries.append(summarise(label, name, scores, protocols[name], n_failed=len(results.failures)))
+            if summaries[-1].metrics is None:
+                console.print(f"failed: {name}: no image has a known pixel under its protocol", soft_wrap=True)
+                n_failed += 1
+            if out is not None and folder is not None and pictures:
+                pictured.setdefault(name, []).extend(_examples(source, dataset, scores, protocols[name], label, folder))
+    if processes.rank:
+        return 1 if n_failed else 0
+    if json_:
+        for summary in summaries:
+            print(json.dumps(_record(summary)))
+    published = _published(sets, protocols) if with_paper else {}
+    found = tables(summaries, published)
+    if out is not None:
+        _write_report(out, summaries, found, pictured, pictures=pictures)
     if not json_:
-        Console(file=sys.stdout).print(table)
-    return 0
+        wide = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 150)
+        for table in found:
+            shown = RichTable(*table.header, title=table.title, title_justify="left")
+            for i, row in enumerate(table.rows):
+                cells = (f"[bold]{cell}[/]" if (i, j) in table.best else cell for j, cell in enumerate(row))
+                shown.add_row(*cells)
+            wide.print(shown)
+    if out is not None:
+        console.print(f"Report: {out / 'report.md'}, .tex, .json", soft_wrap=True)
+    return 1 if n_failed else 0
+
+
+def _open(path: Path) -> "PairDataset":
+    from zoedepth.data.pairs import PairDataset
+
+    dataset = PairDataset(path, split="test", allow_missing=True)
+    if "disparity" in dataset.kinds:
+        raise InputError(f"{dataset.path} has disparity, in which there are no metres to score")
+    return dataset
+
+
+def _protocols(
+    name: str, dataset: "PairDataset", wanted: Sequence[str], changes: Mapping[str, object]
+) -> dict[str, Protocol]:
+    """The protocol of each domain of a data set."""
+    chosen = None
+    for entry in wanted:
+        data, equals, value = entry.rpartition("=")
+        if not equals or data == name:
+            chosen = find_protocol(value)
+    found = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
+    return {domain: replace(protocol, **changes) for domain, protocol in found.items()}  # type: ignore[arg-type]
+
+
+def _sources(
+    models: Sequence[str],
+    predictions: Sequence[str],
+    trivial: Sequence[Path],
+    protocols: Mapping[str, dict[str, Protocol]],
+    *,
+    compat: Sequence[str],
+    device: str,
+) -> "dict[str, tuple[Source, dict[str, object]]]":
+    """Label → source, and what its scores depend on."""
+    from zoedepth.data.pairs import PairDataset
+    from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
+    from zoedepth.predict import Predictor
+    from zoedepth.pretrained import find, load_model
+
+    found: dict[str, tuple[Source, dict[str, object]]] = {}
+
+    def add(label: str, source: "Source", about: dict[str, object]) -> None:
+        if label in found:
+            raise InputError(f"two sources are called {label!r}: name them, LABEL=SOURCE")
+        found[label] = (source, about)
+
+    if not (models or predictions or trivial):
+        models = ("zoed-lite",)
+    for entry in models:
+        label, equals, value = entry.partition("=")
+        value = value if equals else label
+        network = load_model(value, compat=compat)
+        network = Predictor(network, device=device).model
+        add(label, ModelSource(network), {"weights": _fingerprint(find(value)), "compat": list(compat)})
+    for label, folder in named_paths(tuple(predictions)).items():
+        add(label, FolderSource(folder), {"folder": str(folder)})
+    if trivial:
+        by_domain = {domain: protocol for used in protocols.values() for domain, protocol in used.items()}
+        training = [PairDataset(path, split="train") for path in trivial]
+        names = [str(path) for path in trivial]
+        for label, kind in (("best constant", ConstantSource), ("mean depth map", MeanMapSource)):
+            samples = (sample for dataset in training for sample in _samples(dataset, by_domain))
+            add(label, kind(samples, by_domain), {"training": names})
+    return found
+
+
+def _samples(dataset: "PairDataset", protocols: Mapping[str, Protocol]) -> Iterator:
+    """Training samples of the domains that are evaluated."""
+    return (dataset[index] for index, pair in enumerate(dataset.pairs) if pair.domain in protocols)
+
+
+def _fingerprint(path: Path) -> str:
+    """What tells one file of weights from another."""
+    file = path / "model.safetensors" if path.is_dir() else path
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        while chunk := opened.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()[:16]
+
+
+def _track(console, indices: list[int], description: str) -> Iterator[int]:
+    from rich.progress import track
+
+    return iter(track(indices, description=description, console=console, disable=not console.is_terminal))
+
+
+def _join(processes):
+    """Meet the other processes of torchrun, if there are any."""
+    if processes.count > 1:
+        import torch.distributed as distributed
+
+        if not distributed.is_initialized():
+            distributed.init_process_group("gloo")
+    return processes
+
+
+def _meet(scores, folder: Path | None, processes):
+    """The scores of all processes, in the order of the data set."""
+    if processes.count == 1:
+        return scores
+    if folder is None:
+        raise InputError("several processes need --out, where they leave their scores")
+    import torch.distributed as distributed
+
+    from zoedepth.evaluation.evaluate import read_scores
+
+    distributed.barrier()
+    return read_scores(folder)
+
+
+def _examples(source, dataset, scores, protocols, label: str, folder: Path) -> list[tuple[str, Path]]:
+    from zoedepth.evaluation.report import examples, write_picture
+
+    picture = examples(source, dataset, scores, protocols)
+    if picture is None:
+        return []
+    write_picture(folder / "examples.png", picture)
+    return [(f"{label}: best, median and worst image by REL", folder / "examples.png")]
+
+
+def _write_report(out: Path, summaries: "list[Summary]", found, pictured, *, pictures: bool) -> None:
+    from zoedepth.evaluation.report import error_by_depth, write_report
+
+    if pictures:
+        for name in dict.fromkeys(summary.data for summary in summaries):
+            path = out / f"{_slug(name)}-error-by-depth.png"
+            error_by_depth([summary for summary in summaries if summary.data == name], path)
+            pictured.setdefault(name, []).insert(0, (f"{name}: REL by true depth", path))
+    command = shlex.join(["zoedepth", *sys.argv[1:]])
+    write_report(out, summaries, found, command=command, pictures=pictured)
+
+
+def _record(summary: "Summary") -> dict:
+    """The short form for --json; the whole is in report.json."""
+    metrics = {} if summary.metrics is None else asdict(summary.metrics)
+    return {
+        "source": summary.source,
+        "data": summary.data,
+        "protocols": summary.protocols,
+        **metrics,
+        "images": summary.n_scored,
+        "without_truth": summary.n_images - summary.n_scored,
+        "failed": summary.n_failed,
+        "router": summary.router,
+        "alignment": summary.alignment,
+    }
+
+
+def _published(sets: Mapping[str, object], protocols: Mapping[str, dict[str, Protocol]]) -> dict:
+    from zoedepth.evaluation.published import method_rows
+
+    return {name: method_rows(name) for name in sets}
+
+
+def _slug(text: str) -> str:
+    """A name that is a folder's, whatever was typed."""
+    return "".join(c if c.isalnum() or c in "-_." else "-" for c in text).strip("-.") or "model"

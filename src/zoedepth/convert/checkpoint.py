@@ -173,7 +173,8 @@ def _save(weights: Mapping[str, Tensor], path: Path, config: ModelConfig | None)
     apart = {}
     for name, value in weights.items():
         storage = value.untyped_storage().data_ptr()
-        apart[name] = value.clone() if storage in seen or not value.is_contiguous() else value
+        lone = value.is_contiguous() and storage not in seen
+        apart[name] = value if lone else value.clone(memory_format=torch.contiguous_format)
         seen.add(storage)
     path.touch()
     mode = path.stat().st_mode
@@ -184,7 +185,8 @@ def _save(weights: Mapping[str, Tensor], path: Path, config: ModelConfig | None)
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
     """A folder that comes into being complete, or not at all."""
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+    # Not in the place of the folder we are in, which has no name, nor of a link.
+    if path.is_symlink() or (path.exists() and (not path.name or not path.is_dir() or any(path.iterdir()))):
         raise InputError(f"{path} is there already: give another name, or remove it first")
     part = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")
     part.mkdir(parents=True)

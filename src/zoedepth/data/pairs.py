@@ -30,7 +30,8 @@ class Pair:
     """One line of the CSV file."""
 
     image: Path
-    target: Path
+    target: Path | None
+    """None where the list says that there is none."""
     kind: Target
     scale: float
     """depth: the stored value of one metre. disparity: 1."""
@@ -43,12 +44,14 @@ class PairDataset(Dataset[Sample]):
     Args:
         path: the CSV file, or a folder with one of the name of the split.
         split: name of the CSV file, without suffix, where ``path`` is a folder.
+        allow_missing: a depth of "None" in the list is a photo without truth, as in KITTI's test list; otherwise an
+            error, for nothing can be learned from it.
 
     Raises:
         InputError: the CSV file is missing or malformed (the line is named), or files it lists are missing.
     """
 
-    def __init__(self, path: str | Path, *, split: str = "train") -> None:
+    def __init__(self, path: str | Path, *, split: str = "train", allow_missing: bool = False) -> None:
         path = Path(path)
         self.path = path / f"{split}.csv" if path.is_dir() else path
         if not self.path.is_file():
@@ -62,7 +65,10 @@ class PairDataset(Dataset[Sample]):
         self.pairs = [_parse(row, self.path, line) for line, row in enumerate(rows, start=2)]
         if not self.pairs:
             raise InputError(f"{self.path} lists no pairs")
-        missing = [path for pair in self.pairs for path in (pair.image, pair.target) if not path.is_file()]
+        if not allow_missing and (bare := [pair.image for pair in self.pairs if pair.target is None]):
+            raise InputError(f"{self.path} lists {len(bare)} photos without depth, the first is {bare[0]}")
+        paths = [path for pair in self.pairs for path in (pair.image, pair.target) if path is not None]
+        missing = [path for path in paths if not path.is_file()]
         if missing:
             raise InputError(f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}")
 
@@ -77,7 +83,7 @@ class PairDataset(Dataset[Sample]):
         """
         pair = self.pairs[index]
         image = read_image(pair.image)
-        stored = _read_png(pair.target)
+        stored = np.zeros(image.shape[:2], np.uint16) if pair.target is None else _read_png(pair.target)
         if stored.shape != image.shape[:2]:
             raise InputError(f"{pair.image} is {image.shape[:2]} and {pair.target} is {stored.shape}: sizes must agree")
         target = torch.from_numpy(stored.astype(np.float32) / pair.scale)[None]
@@ -115,11 +121,13 @@ def _parse(row: dict[str, str], path: Path, line: int) -> Pair:
         raise InputError(f"{path}, line {line}: depth_scale must be the stored value of one metre") from error
     if not 0 < scale < math.inf:
         raise InputError(f"{path}, line {line}: depth_scale must be finite and > 0; it is {scale}")
+    bare = row[kind] == "None"
     for name in (row["image"], row[kind]):
         # A list is data from elsewhere: it may not reach out of its folder.
         if Path(name).is_absolute() or ".." in Path(name).parts:
             raise InputError(f"{path}, line {line}: {name!r} must be a path inside the folder of the CSV file")
-    return Pair(path.parent / row["image"], path.parent / row[kind], kind, scale, row.get("domain") or "")
+    target = None if bare else path.parent / row[kind]
+    return Pair(path.parent / row["image"], target, kind, scale, row.get("domain") or "")
 
 
 def _read_png(path: Path) -> np.ndarray:

@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 from zoedepth.data.sample import Samples
 from zoedepth.evaluation.evaluate import evaluate
+from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
@@ -16,14 +17,13 @@ def validate(model: ZoeDepth, validation: Mapping[str, Samples]) -> dict[str, fl
     model.eval()
     numbers = {}
     for name, subset in validation.items():
-        samples = [subset[i] for i in range(len(subset))]
-        scores = list(evaluate(model, samples, protocol_of(samples[0].domain)))
-        scored = [score.metrics for score in scores if score.metrics is not None]
+        domains = {subset[i].domain for i in range(len(subset))}
+        scores = evaluate(ModelSource(model), subset, {domain: protocol_of(domain) for domain in domains}).scores
+        scored = [score.sums.metrics() for score in scores if score.sums is not None]
         if scored:  # sparse depth may have no pixel inside the crop
             means = asdict(mean_metrics(scored))
             numbers |= {f"validation/{name}/{metric}": means[metric] for metric in ("rel", "rmse", "delta1")}
-        if len(model.config.domains) > 1:
-            right = [score.domain == sample.domain for score, sample in zip(scores, samples, strict=True)]
-            numbers[f"validation/{name}/router"] = sum(right) / len(right)
+        if routed := [score for score in scores if score.routed is not None]:
+            numbers[f"validation/{name}/router"] = sum(s.routed == s.domain for s in routed) / len(routed)
     model.train(training)
     return numbers

@@ -1,0 +1,181 @@
+"""The report of a run: tables for paper and web, pictures of best, median and worst image, error by depth."""
+
+import json
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoedepth import __version__
+from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
+from zoedepth.data.sample import Samples
+from zoedepth.errors import MissingExtraError
+from zoedepth.evaluation.evaluate import predict
+from zoedepth.evaluation.predictions import Source
+from zoedepth.evaluation.protocols import Protocol
+from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, fit, scored_pixels
+from zoedepth.evaluation.summary import Summary, Table, extras_table, ranges_table, results_table
+from zoedepth.images import ImageArray, atomic_path, to_image, write_image
+
+ERROR_LIMIT = 50.0
+"""Per cent of the true depth at which the colours of errors end."""
+
+
+def tables(summaries: Sequence[Summary], published: Mapping[str, Sequence[tuple[str, Any]]]) -> list[Table]:
+    """Three tables a data set: the metrics, what goes beyond them, and REL by depth."""
+    found = []
+    for data in dict.fromkeys(summary.data for summary in summaries):
+        mine = [summary for summary in summaries if summary.data == data]
+        found += [
+            results_table(mine, data, published=published.get(data, ())),
+            extras_table(mine, data),
+            ranges_table(mine, data),
+        ]
+    return found
+
+
+def write_report(
+    folder: Path,
+    summaries: Sequence[Summary],
+    found: Sequence[Table],
+    *,
+    command: str,
+    pictures: Mapping[str, Sequence[tuple[str, Path]]],
+) -> None:
+    """``report.json``, ``report.md`` and ``report.tex``, each whole or not at all.
+
+    Args:
+        folder: of the run.
+        summaries: all of them.
+        found: their tables.
+        command: what was typed.
+        pictures: data set → (caption, file in the folder).
+    """
+    values = {"zoedepth": __version__, "command": command, "results": [summary.to_json() for summary in summaries]}
+    _write(folder / "report.json", json.dumps(values, indent=2) + "\n")
+    _write(folder / "report.tex", "\n".join(table.latex() for table in found))
+    parts = ["# Evaluation", f"zoedepth {__version__}:", f"```bash\n{command}\n```"]
+    for data in dict.fromkeys(summary.data for summary in summaries):
+        parts.append(f"## {data}")
+        parts += [table.markdown() for table in found if table.title.startswith(f"{data}: ")]
+        skipped = [s for s in summaries if s.data == data and (s.n_scored < s.n_images or s.n_failed)]
+        parts += [
+            f"{s.source}: {s.n_images - s.n_scored} images without a known pixel under the protocol, "
+            f"{s.n_failed} that failed; neither is in a mean."
+            for s in skipped
+        ]
+        parts += [f"![{caption}]({path.relative_to(folder).as_posix()})" for caption, path in pictures.get(data, ())]
+    _write(folder / "report.md", "\n\n".join(parts) + "\n")
+
+
+def examples(
+    source: Source, data: Samples, scores: Sequence[Score], protocols: Mapping[str, Protocol]
+) -> ImageArray | None:
+    """Best, median and worst image by REL: photo, truth, prediction, error; one scale of colours for all depths.
+
+    Returns:
+        None where nothing was scored.
+    """
+    ranked = sorted(
+        (i for i, score in enumerate(scores) if score.sums is not None),
+        key=lambda i: scores[i].sums.metrics().rel,  # type: ignore[union-attr]  # scored ones only
+    )
+    if not ranked:
+        return None
+    chosen = dict.fromkeys((ranked[0], ranked[len(ranked) // 2], ranked[-1]))
+    names = ("best", "median", "worst") if len(chosen) == 3 else ("",) * len(chosen)
+    rows = []
+    for label, index in zip(names, chosen, strict=True):
+        sample = data[index]
+        protocol = protocols[sample.domain]
+        prediction, shown = predict(source, sample, protocol)
+        truth, scored = shown.target[0].numpy(), scored_pixels(shown, protocol)
+        depth = aligned_depth(prediction, truth, scored, protocol)
+        rows.append((label, shown, truth, scored, depth, scores[index]))
+    known = np.concatenate([truth[scored] for _, _, truth, scored, _, _ in rows])
+    vmin, vmax = depth_range(known, percentiles=(1.0, 99.0))
+    panels = []
+    for label, shown, truth, scored, depth, score in rows:
+        wide = truth.shape[1] > 2 * truth.shape[0]
+        width = min(truth.shape[1], 720 if wide else 400)
+        height = round(truth.shape[0] * width / truth.shape[1])
+        size = (height, width)
+        error = np.where(scored, 100 * (depth / np.where(scored, truth, 1) - 1), np.nan)
+        rel = score.sums.metrics().rel if score.sums is not None else float("nan")
+        depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
+        error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
+        true_depth = colorize(_spread(np.where(shown.mask[0].numpy(), truth, 0), size), vmin=vmin, vmax=vmax)
+        predicted = colorize(fit(depth, size), vmin=vmin, vmax=vmax)
+        caption = f"{label}: REL {rel:.3f}" if label else f"REL {rel:.3f}"
+        four = [
+            panel(to_image(shown.image), size=size, caption=f"{caption}, {shown.name}"[:48]),
+            panel(true_depth, size=size, caption="measured (grey: unknown)"),
+            panel(predicted, size=size, bar=depth_bar, caption="predicted"),
+            panel(_colored_error(_spread(error, size)), size=size, bar=error_bar, caption="error (red: too far)"),
+        ]
+        # Beside each other; in two lines where the photos are as wide as KITTI's.
+        panels += [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
+    return sheet(panels)
+
+
+def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
+    """A plot of REL against true depth, of all sources on one data set, above the share of pixels at that depth.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError("report", "the plots of an evaluation report") from error
+    names = [f"{low:g}-{high:g}" for low, high in pairwise(RANGES)]
+    names = [name for name in names if any(name in summary.ranges for summary in summaries)]
+    figure = Figure(figsize=(7, 4.2), layout="constrained")
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    positions = np.arange(len(names))
+    for summary in summaries:
+        values = [summary.ranges[name]["rel"] if name in summary.ranges else np.nan for name in names]
+        top.plot(positions, values, marker="o", label=summary.source)
+    top.set_ylabel("REL, pooled over pixels")
+    top.set_ylim(bottom=0)
+    top.grid(alpha=0.3)
+    top.legend(fontsize=8, frameon=False)
+    shares = next((summary.ranges for summary in summaries if summary.ranges), {})
+    bottom.bar(positions, [100 * shares.get(name, {"share": 0})["share"] for name in names], color="0.6")
+    bottom.set_ylabel("pixels, %")
+    bottom.set_xlabel("true depth, metres")
+    bottom.set_xticks(positions, names)
+    with atomic_path(path) as part:
+        figure.savefig(part, dpi=150, format="png")
+
+
+def write_picture(path: Path, picture: ImageArray) -> None:
+    """A sheet as a PNG."""
+    write_image(path, picture)
+
+
+def _colored_error(error: np.ndarray) -> ImageArray:
+    # colorize takes what is not positive for unknown: shifted, 0 error is in the middle.
+    shifted = np.where(np.isfinite(error), error.clip(-ERROR_LIMIT, ERROR_LIMIT) + ERROR_LIMIT + 1, 0)
+    return colorize(shifted, vmin=1.0, vmax=2 * ERROR_LIMIT + 1, colormap="Spectral_r")
+
+
+def _spread(x: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Values at another size without inventing any between them; single points of sparse truth grow to be seen."""
+    valid = np.isfinite(x) & (x != 0)
+    if valid.mean() < 0.3:  # sparse lidar
+        for _ in range(2):
+            for shift, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
+                moved, there = np.roll(x, shift, axis), np.roll(valid, shift, axis)
+                x = np.where(valid, x, np.where(there, moved, x))
+                valid = valid | there
+    rows = np.arange(size[0]) * x.shape[0] // size[0]
+    columns = np.arange(size[1]) * x.shape[1] // size[1]
+    return x[rows][:, columns]
+
+
+def _write(path: Path, text: str) -> None:
+    with atomic_path(path) as part:
+        part.write_text(text, encoding="utf-8")
