@@ -1,9 +1,13 @@
-"""``zoedepth evaluate``: the protocol follows the domain in the list unless told otherwise; what is printed."""
+"""``zoedepth evaluate``: the protocol follows the domain unless told otherwise; what is printed and written."""
 
 import json
-from dataclasses import asdict, replace
+import os
+import subprocess
+import sys
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from tests.folders import write_disparity_pairs, write_pairs
@@ -12,12 +16,14 @@ from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.evaluation.evaluate import evaluate
-from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol
-from zoedepth.metrics import mean_metrics
+from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Protocol
+from zoedepth.images import write_depth_png
+from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import load_model, save_model
 
-METRICS = {"rel", "rmse", "log10", "delta1", "delta2", "delta3"}
+METRICS = {f.name for f in fields(Metrics)}
 
 
 @pytest.fixture
@@ -29,131 +35,250 @@ def model(tiny_model: ZoeDepth, tmp_path: Path) -> Path:
     return tmp_path / "tiny.safetensors"
 
 
-def run(capsys: pytest.CaptureFixture[str], model: Path, *arguments: object) -> list[dict[str, object]]:
+def run(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> list[dict]:
     """The JSON objects that the command prints, and nothing but them."""
-    code = main(["evaluate", "--model", str(model), "--json", *map(str, arguments)])
+    found = main(["evaluate", "--json", *map(str, arguments)])
     output = capsys.readouterr()
-    assert code == 0, output.err
+    assert found == code, output.err
     return [json.loads(line) for line in output.out.splitlines()]
+
+
+def error(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """What the command says when it is told something wrong."""
+    assert main(["evaluate", *map(str, arguments)]) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    return output.err
 
 
 def expected(model: Path, path: Path, protocol: Protocol) -> dict[str, float]:
     dataset = PairDataset(path)
-    scores = evaluate(load_model(model), [dataset[index] for index in range(len(dataset))], protocol)
-    return asdict(mean_metrics([score.metrics for score in scores if score.metrics is not None]))
+    protocols = dict.fromkeys(dataset.domains, protocol)
+    scores = evaluate(ModelSource(load_model(model)), dataset, protocols).scores
+    return asdict(mean_metrics([score.sums.metrics() for score in scores.values() if score.sums is not None]))
 
 
-def metrics_of(record: dict[str, object]) -> dict[str, object]:
+def metrics_of(record: dict) -> dict[str, float]:
     return {name: record[name] for name in METRICS}
 
 
-@pytest.mark.parametrize(
-    ("domain", "size", "protocol"), [("indoor", (64, 96), INDOOR), ("outdoor", (375, 1242), OUTDOOR)]
-)
-def test_protocol_follows_from_the_domain(
-    model: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    domain: str,
-    size: tuple[int, int],
-    protocol: Protocol,
-) -> None:
-    path = write_pairs(tmp_path, n=2, size=size, domain=domain, split="test")
-    (record,) = run(capsys, model, "--data", path)
-    assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
+class TestProtocol:
+    @pytest.mark.parametrize(
+        ("domain", "size", "protocol"), [("indoor", (64, 96), INDOOR), ("outdoor", (375, 1242), OUTDOOR)]
+    )
+    def test_follows_from_the_domain(self, model, tmp_path: Path, capsys, domain: str, size, protocol: Protocol):
+        path = write_pairs(tmp_path, n=2, size=size, domain=domain, split="test")
+        (record,) = run(capsys, "--model", model, "--data", path)
+        assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
+        assert record["protocols"] == {domain: protocol.label}
+
+    def test_domain_of_ones_own_has_no_crop(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "attic", n=1, split="test")
+        path.write_text(path.read_text().replace(",indoor", ",attic"))
+        (record,) = run(capsys, "--model", model, "--data", path)
+        assert record["protocols"] == {"attic": PLAIN.label}
+
+    @pytest.mark.parametrize(
+        ("arguments", "protocol"),
+        [
+            (("--crop", "none"), replace(INDOOR, crop="none")),
+            (("--crop", "garg"), replace(INDOOR, crop="garg")),
+            (("--max-depth", "3"), replace(INDOOR, max_depth=3.0)),
+            (("--min-depth", "2"), replace(INDOOR, min_depth=2.0)),
+            (("--no-flip",), replace(INDOOR, flip_average=False)),
+            (("--pad",), replace(INDOOR, pad=True)),
+            (("--resize", "squeeze"), replace(INDOOR, resize="squeeze")),
+            (("--protocol", "nyu"), PROTOCOLS["nyu"]),
+            (("--protocol", "rooms=ibims"), PROTOCOLS["ibims"]),
+            (("--protocol", "plain", "rooms=ibims", "--pad"), replace(PROTOCOLS["ibims"], pad=True)),
+        ],
+    )
+    def test_is_chosen_and_overridden(self, model: Path, tmp_path: Path, capsys, arguments, protocol: Protocol):
+        path = write_pairs(tmp_path, n=1, size=(64, 160), split="test")
+        (record,) = run(capsys, "--model", model, "--data", f"rooms={path}", *arguments)
+        assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
+        assert record["protocols"] == {"indoor": protocol.label}
+        assert protocol.label != INDOOR.label
+
+    def test_pooled_mean(self, model: Path, tmp_path: Path, capsys):
+        """Both photos have equally many known pixels: only what is no mean of means differs."""
+        path = write_pairs(tmp_path, n=2, split="test")
+        (images,) = run(capsys, "--model", model, "--data", path)
+        (pixels,) = run(capsys, "--model", model, "--data", path, "--mean", "pixels")
+        assert pixels["rel"] == pytest.approx(images["rel"])
+        assert pixels["rmse"] > images["rmse"]
+
+    def test_aligned_numbers_say_so(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=2, split="test")
+        (record,) = run(capsys, "--model", model, "--data", path, "--align", "median")
+        assert record["alignment"] == "median"
+        assert main(["evaluate", "--model", str(model), "--data", str(path), "--align", "median"]) == 0
+        assert "median-aligned" in capsys.readouterr().out.replace("\n", "")
+
+    def test_unknown_names_are_errors(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=1, split="test")
+        assert "'nuy'" in error(capsys, "--model", model, "--data", path, "--protocol", "nuy")
+        assert "attic" in error(capsys, "--model", model, "--data", path, "--protocol", "attic=nyu")
 
 
-def test_json_is_one_object_with_metrics_and_counts(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
-    (record,) = run(capsys, model, "--data", path)
-    assert set(record) == {*METRICS, "images", "without_truth", "router"}
-    assert (record["images"], record["without_truth"]) == (2, 1)
-    assert all(isinstance(record[name], float) for name in METRICS)
+class TestSources:
+    def test_several_models_in_one_table_with_the_best_in_bold(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=1, split="test")
+        options = ["--model", model, "--model", f"again={model}", "--model", "zoed-lite"]
+        records = run(capsys, *options, "--data", path)
+        assert [record["source"] for record in records] == [str(model), "again", "zoed-lite"]
+        assert metrics_of(records[0]) == metrics_of(records[1]) != metrics_of(records[2])
 
+    def test_two_of_one_name_are_an_error(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=1, split="test")
+        assert "name them" in error(capsys, "--model", model, "--model", model, "--data", path)
 
-@pytest.mark.parametrize(("domain", "share"), [("indoor", 1.0), ("outdoor", 0.0)])
-def test_router_share_is_that_of_photos_sent_to_their_own_head(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], domain: str, share: float
-) -> None:
-    path = write_pairs(tmp_path, n=2, domain=domain, split="test")
-    (record,) = run(capsys, model, "--data", path)
-    assert record["router"] == share
+    def test_other_peoples_depth_maps(self, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        dataset = PairDataset(path)
+        for index in range(2):
+            sample = dataset[index]
+            write_depth_png(tmp_path / "theirs" / f"{Path(sample.name).stem}.png", 1.25 * sample.target[0].numpy())
+        (record,) = run(capsys, "--predictions", f"theirs={tmp_path / 'theirs'}", "--data", path)
+        assert record["source"] == "theirs"
+        assert record["rel"] == pytest.approx(0.25, abs=1e-3)
+        assert record["router"] is None
 
-
-def test_model_of_one_domain_has_no_router_to_score(
-    tiny_config: ModelConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    torch.manual_seed(0)
-    save_model(ZoeDepth(replace(tiny_config, domains=tiny_config.domains[:1])), tmp_path / "one.safetensors")
-    path = write_pairs(tmp_path, n=1, split="test")
-    (record,) = run(capsys, tmp_path / "one.safetensors", "--data", path)
-    assert record["router"] is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "protocol"),
-    [
-        (("--crop", "none"), replace(INDOOR, crop="none")),
-        (("--crop", "garg"), replace(INDOOR, crop="garg")),
-        (("--max-depth", "3"), replace(INDOOR, max_depth=3.0)),
-        (("--no-flip",), replace(INDOOR, flip_average=False)),
-    ],
-    ids=["no crop", "other crop", "cap", "no flip"],
-)
-def test_options_override_the_protocol(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], protocol: Protocol
-) -> None:
-    path = write_pairs(tmp_path, n=1, split="test")
-    (record,) = run(capsys, model, "--data", path, *arguments)
-    assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
-    assert metrics_of(record) != pytest.approx(expected(model, path, INDOOR))
-
-
-def test_several_data_sets_are_an_object_each_with_their_names(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rooms = write_pairs(tmp_path / "rooms", n=1, split="test")
-    write_pairs(tmp_path / "streets", n=2, domain="outdoor", split="test")
-    records = run(capsys, model, "--data", rooms, f"cars={tmp_path / 'streets'}")
-    assert [(record["data"], record["images"]) for record in records] == [("rooms", 1), ("cars", 2)]
-
-
-def test_table_has_the_numbers_for_people(model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = write_pairs(tmp_path / "rooms", n=2, split="test")
-    assert main(["evaluate", "--model", str(model), "--data", str(path)]) == 0
-    output = capsys.readouterr().out
-    for word in ("REL", "RMSE", "rooms", f"{expected(model, path, INDOOR)['rel']:.3f}", "100.0 %"):
-        assert word in output
-
-
-def test_what_cannot_be_scored_is_an_error_that_says_why(
-    model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def error(*arguments: object) -> str:
-        assert main(["evaluate", *map(str, arguments)]) == 2
+    def test_missing_depth_map_is_listed_and_the_rest_scored(self, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        sample = PairDataset(path)[0]
+        write_depth_png(tmp_path / "theirs" / f"{Path(sample.name).stem}.png", sample.target[0].numpy())
+        options = ["--predictions", f"theirs={tmp_path / 'theirs'}", "--data", str(path)]
+        assert main(["evaluate", "--json", *options]) == 1
         output = capsys.readouterr()
-        assert output.out == ""
-        return output.err
+        record = json.loads(output.out)
+        assert (record["images"], record["failed"]) == (1, 1)
+        assert "test_001" in output.err.replace("\n", "")
 
-    good = write_pairs(tmp_path / "good", n=1, split="test")
-    assert "nowhere.csv" in error("--model", model, "--data", tmp_path / "nowhere.csv")
-    assert "zoed-light" in error("--model", "zoed-light", "--data", good)
-    attic = write_pairs(tmp_path / "attic", n=1, split="test")
-    attic.write_text(attic.read_text().replace(",indoor", ",attic"))
-    assert "attic" in error("--model", model, "--data", attic)
-    small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")
-    assert "no image" in error("--model", model, "--data", small)
-    stills = write_disparity_pairs(tmp_path / "stills")
-    assert "disparity" in error("--model", model, "--data", stills)
-    stills.write_text(stills.read_text().replace(".png,", ".png,indoor"))
-    assert "disparity" in error("--model", model, "--data", stills)
-    assert "each name once" in error("--model", model, "--data", f"a={good}", f"a={good}")
+    def test_what_can_be_said_without_looking(self, tmp_path: Path, capsys):
+        train = write_pairs(tmp_path / "rooms", n=3, split="train")
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        constant, mean = run(capsys, "--trivial", train, "--data", path)
+        assert (constant["source"], mean["source"]) == ("best constant", "mean depth map")
+        assert 0 < mean["rel"] < constant["rel"]
+
+    def test_relative_model_needs_alignment(self, tiny_model: ZoeDepth, tmp_path: Path, capsys):
+        bare = ZoeDepth(replace(tiny_model.config, domains=()))
+        save_model(bare, tmp_path / "bare.safetensors")
+        path = write_pairs(tmp_path, n=1, split="test")
+        options = ["--model", str(tmp_path / "bare.safetensors"), "--data", str(path)]
+        assert main(["evaluate", "--json", *options]) == 1
+        assert "--align disparity" in capsys.readouterr().err.replace("\n", " ")
+        (record,) = run(capsys, *options, "--align", "disparity")
+        assert np.isfinite(record["rel"])
+
+    def test_model_of_one_domain_has_no_router_to_score(self, tiny_config: ModelConfig, tmp_path: Path, capsys):
+        torch.manual_seed(0)
+        save_model(ZoeDepth(replace(tiny_config, domains=tiny_config.domains[:1])), tmp_path / "one.safetensors")
+        path = write_pairs(tmp_path, n=1, split="test")
+        (record,) = run(capsys, "--model", tmp_path / "one.safetensors", "--data", path)
+        assert record["router"] is None
+
+    @pytest.mark.parametrize(("domain", "share"), [("indoor", 1.0), ("outdoor", 0.0)])
+    def test_router_share_is_that_of_photos_sent_to_their_own_head(self, model, tmp_path, capsys, domain, share):
+        path = write_pairs(tmp_path, n=2, domain=domain, split="test")
+        (record,) = run(capsys, "--model", model, "--data", path)
+        assert record["router"] == share
 
 
-def test_data_must_be_given(model: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["evaluate", "--model", str(model)])
-    assert stopped.value.code == 2
-    assert "--data" in capsys.readouterr().err
+class TestOutput:
+    def test_json_is_one_object_with_metrics_and_counts(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
+        (record,) = run(capsys, "--model", model, "--data", path)
+        counts = {"images", "without_truth", "failed", "router", "alignment", "source", "data", "protocols"}
+        assert set(record) == METRICS | counts
+        assert (record["images"], record["without_truth"]) == (2, 1)
+        assert all(isinstance(record[name], float) for name in METRICS)
+
+    def test_line_without_truth_is_counted(self, model: Path, tmp_path: Path, capsys):
+        """As KITTI's test list has 45 of them."""
+        path = write_pairs(tmp_path, n=2, split="test")
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([*lines, lines[1].replace("depth/test_000.png", "None")]) + "\n")
+        (record,) = run(capsys, "--model", model, "--data", path)
+        assert (record["images"], record["without_truth"]) == (2, 1)
+
+    def test_several_data_sets_are_an_object_each_with_their_names(self, model: Path, tmp_path: Path, capsys):
+        rooms = write_pairs(tmp_path / "rooms", n=1, split="test")
+        write_pairs(tmp_path / "streets", n=2, domain="outdoor", split="test")
+        records = run(capsys, "--model", model, "--data", rooms, f"cars={tmp_path / 'streets'}")
+        assert [(record["data"], record["images"]) for record in records] == [("rooms", 1), ("cars", 2)]
+
+    def test_table_has_the_numbers_for_people(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        assert main(["evaluate", "--model", f"tiny={model}", "--data", str(path)]) == 0
+        output = capsys.readouterr().out
+        for word in ("REL", "RMSE", "rooms", INDOOR.label, f"{expected(model, path, INDOOR)['rel']:.3f}", "100.0 %"):
+            assert word in output
+
+    def test_report_has_tables_pictures_and_the_command(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=3, split="test")
+        out = tmp_path / "out"
+        assert main(["evaluate", "--model", f"tiny={model}", "--data", str(path), "--out", str(out)]) == 0
+        report = (out / "report.md").read_text()
+        for file in ("tiny/rooms/examples.png", "rooms-error-by-depth.png"):
+            assert file in report
+            assert (out / file).read_bytes().startswith(b"\x89PNG")
+        assert INDOOR.label in report
+        assert INDOOR.hash in (out / "report.tex").read_text()
+        (result,) = json.loads((out / "report.json").read_text())["results"]
+        assert result["metrics"]["rel"] == pytest.approx(expected(model, path, INDOOR)["rel"], rel=1e-12)
+        assert len((out / "tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()) == 4
+
+    def test_the_same_command_goes_on_and_another_protocol_is_refused(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        options = ["--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out", "--no-pictures"]
+        first = run(capsys, *options)
+        assert run(capsys, *options) == first
+        assert "give another --out" in error(capsys, *options, "--crop", "none")
+
+    def test_the_papers_numbers_beside_ours(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        assert main(["evaluate", "--model", f"tiny={model}", "--data", f"nyu={path}", "--with-paper"]) == 0
+        output = capsys.readouterr().out
+        assert "ZoeD-M12-N (paper)" in output
+        assert "0.270" in output
+
+    def test_processes_of_torchrun_give_the_same_to_the_last_bit(self, model: Path, tmp_path: Path):
+        path = write_pairs(tmp_path / "rooms", n=3, split="test")
+        results = []
+        for count in (1, 2):
+            out = tmp_path / f"out{count}"
+            command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)]
+            command += ["-m", "zoedepth", "evaluate", "--model", f"tiny={model}", "--data", str(path)]
+            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+            done = subprocess.run(
+                [*command, "--out", str(out), "--no-pictures"], capture_output=True, text=True, env=environment
+            )
+            assert done.returncode == 0, done.stderr[-2000:]
+            results.append(json.loads((out / "report.json").read_text())["results"])
+        assert len(list((tmp_path / "out2" / "tiny" / "rooms").glob("scores-*.jsonl"))) == 2
+        assert results[0] == results[1]
+
+
+class TestErrors:
+    def test_what_cannot_be_scored_says_why(self, model: Path, tmp_path: Path, capsys):
+        good = write_pairs(tmp_path / "good", n=1, split="test")
+        assert "nowhere.csv" in error(capsys, "--model", model, "--data", tmp_path / "nowhere.csv")
+        assert "zoed-light" in error(capsys, "--model", "zoed-light", "--data", good)
+        stills = write_disparity_pairs(tmp_path / "stills")
+        assert "disparity" in error(capsys, "--model", model, "--data", stills)
+        stills.write_text(stills.read_text().replace(".png,", ".png,indoor"))
+        assert "disparity" in error(capsys, "--model", model, "--data", stills)
+        assert "each name once" in error(capsys, "--model", model, "--data", f"a={good}", f"a={good}")
+
+    def test_set_without_a_pixel_in_the_crop_is_no_silent_success(self, model: Path, tmp_path: Path, capsys):
+        small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")
+        assert main(["evaluate", "--model", str(model), "--data", str(small)]) == 1
+        assert "no image has a known pixel" in capsys.readouterr().err
+
+    def test_data_must_be_given(self, model: Path, capsys):
+        with pytest.raises(SystemExit) as stopped:
+            main(["evaluate", "--model", str(model)])
+        assert stopped.value.code == 2
+        assert "--data" in capsys.readouterr().err

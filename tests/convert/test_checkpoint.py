@@ -3,6 +3,7 @@ import os
 import resource
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,8 @@ def test_layout_is_told_and_read(tmp_path: Path, kind: str, layout: Layout):
     assert checkpoint.layout == layout
     assert same(checkpoint.weights, tiny(kind).weights)
     # The original's file does not say the size of photos.
-    assert checkpoint.config == original.config_of(tiny(kind).weights) if layout == "original" else tiny(kind).config
+    size = PRESETS[f"zoed-m12-{kind}"].size if layout == "original" else tiny(kind).config.size
+    assert checkpoint.config == replace(tiny(kind).config, size=size)
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".bin", ".safetensors", ""])
@@ -223,15 +225,12 @@ def test_config_that_makes_no_model_is_refused_shortly(tmp_path: Path, changes: 
     assert str(caught.value).isprintable()
 
 
-@pytest.mark.parametrize("value", [10**37, 10**400, float("nan"), "1", True, [], None])
+@pytest.mark.parametrize("value", [10**400, float("nan"), "1", True, [], None])
 @pytest.mark.parametrize("name", ["min_temp", "max_temp"])
 def test_numbers_in_a_config_of_transformers_are_numbers(tmp_path: Path, name: str, value: Any):
     folder = write(tmp_path, "huggingface")
     values = json.loads((folder / "config.json").read_text())
     (folder / "config.json").write_text(json.dumps({**values, name: value}))
-    if (name, value) == ("max_temp", 10**37):
-        assert load_model(folder).config.head.max_temperature == 1e37
-        return
     with pytest.raises(InputError, match=r"theirs/model.safetensors"):
         load_model(folder)
 

@@ -216,10 +216,11 @@ def test_file_with_any_byte_wrong_is_read_or_refused(tmp_path: Path, kind: str):
     assert len(set(outcomes)) > 3
 
 
-def test_compressed_archive_is_refused_before_it_is_unpacked(tmp_path: Path):
+@pytest.mark.parametrize("content", [bytes(10_000_000), os.urandom(10_000)], ids=["bomb", "random"])
+def test_compressed_archive_is_refused_before_it_is_unpacked(tmp_path: Path, content: bytes):
     with zipfile.ZipFile(tmp_path / "file.pt", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("archive/data.pkl", pickle.dumps({}, 2))
-        archive.writestr("archive/data/0", bytes(10_000_000))
+        archive.writestr("archive/data/0", content)
     assert (tmp_path / "file.pt").stat().st_size < 100_000
     with pytest.raises(InputError, match=r"file.pt is a compressed archive"):
         read_tensors(tmp_path / "file.pt")
@@ -238,6 +239,10 @@ def test_archive_whose_entries_are_one_memory_is_refused(tmp_path: Path):
 
 NOT_PLAIN: dict[str, tuple[Callable[[], Any], str]] = {
     "expanded": (lambda: {"a": torch.zeros(1).expand(1_000_000)}, "'a' claims to be larger"),
+    "expanded-in-a-large-file": (
+        lambda: {"a": torch.zeros(1).expand(1000), "b": torch.rand(10_000)},
+        "'a' claims to be larger",
+    ),
     "many-names": (lambda: dict.fromkeys(map(str, range(1000)), torch.zeros(10_000)), "claims to be larger"),
     "sparse": (lambda: {"a": torch.eye(3).to_sparse()}, "'a' is no plain tensor"),
     "sparse-rows": (lambda: {"a": torch.eye(3).to_sparse_csr()}, "'a' is no plain tensor"),

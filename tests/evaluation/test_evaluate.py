@@ -1,209 +1,337 @@
-"""Scores by hand on known arrays, and the prediction that is scored."""
+"""The run over a data set: what is written, what an interrupted run goes on with, and many processes as one."""
 
 import dataclasses
-import math
+import json
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
+from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
 
-from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.sample import Sample
-from zoedepth.evaluation.evaluate import evaluate, score
-from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol
-from zoedepth.metrics import mean_metrics
+from zoedepth.errors import InputError
+from zoedepth.evaluation.evaluate import Processes, evaluate, predict, prepared, read_scores
+from zoedepth.evaluation.predictions import ModelSource, Prediction
+from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
+from zoedepth.evaluation.scoring import Score, score
+from zoedepth.evaluation.summary import summarise
 from zoedepth.model.zoedepth import ZoeDepth
 
-EVERYWHERE = Protocol("everywhere", max_depth=10.0)
+PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": PLAIN}
+FACTORS = {f"{i}.jpg": 1 + 0.11 * i for i in range(7)}
 
 
-def sample_of(truth: list[list[float]] | np.ndarray, *, domain: str = "indoor") -> Sample:
-    """A grey photo with this depth, metres; 0 is unknown."""
-    target = torch.tensor(np.asarray(truth), dtype=torch.float32)[None]
-    return Sample(torch.full((3, *target.shape[1:]), 0.5), target, target > 0, "depth", domain, "photo.jpg")
+def photos(n: int, *, without_truth: Sequence[int] = ()) -> list[Sample]:
+    """Photos "0.jpg", "1.jpg" ..., of rooms and of streets by turns, of several sizes."""
+    samples = [photo((130 + i, 20), seed=i, domain=("indoor", "outdoor")[i % 2], name=f"{i}.jpg") for i in range(n)]
+    return [
+        replace(s, target=0 * s.target, mask=s.mask & False) if i in without_truth else s for i, s in enumerate(samples)
+    ]
 
 
-def depth_of(values: list[list[float]]) -> np.ndarray:
-    return np.array(values, dtype=np.float32)
+def asked(source: FactorSource) -> list[str]:
+    """Photos that were predicted since last asked."""
+    names = list(source.asked)
+    source.asked.clear()
+    return names
 
 
-def photo(size: tuple[int, int], *, seed: int = 0, domain: str = "indoor") -> Sample:
-    """A photo of 8 bits and depth (1 to 9 m) at random."""
-    rng = np.random.default_rng(seed)
-    sample = sample_of(rng.uniform(1, 9, size=size), domain=domain)
-    values = rng.integers(0, 256, size=(3, *size))
-    return dataclasses.replace(sample, image=torch.tensor(values / 255, dtype=torch.float32))
+# ---------------------------------------------------------------------------------------------------- scores
 
 
-# ---------------------------------------------------------------------------------------------------- score
-
-
-def test_prediction_a_quarter_too_far() -> None:
-    metrics = score(depth_of([[2.5, 5.0]]), sample_of([[2.0, 4.0]]), EVERYWHERE)
-    assert metrics is not None
-    assert metrics.rel == pytest.approx(0.25)
-    assert metrics.rmse == pytest.approx(math.sqrt((0.5**2 + 1.0**2) / 2))
-    assert metrics.log10 == pytest.approx(math.log10(1.25))
-    # A ratio of 1.25 is not below 1.25, but below 1.25 squared.
-    assert (metrics.delta1, metrics.delta2, metrics.delta3) == (0, 1, 1)
-
-
-def test_perfect_prediction() -> None:
-    metrics = score(depth_of([[2.0, 4.0]]), sample_of([[2.0, 4.0]]), EVERYWHERE)
-    assert metrics is not None
-    assert dataclasses.astuple(metrics) == (0, 0, 0, 1, 1, 1)
-
-
-def test_mixed_errors_of_four_pixels() -> None:
-    metrics = score(depth_of([[1.2, 1.0], [2.8, 8.0]]), sample_of([[1.0, 1.5], [4.0, 4.0]]), EVERYWHERE)
-    assert metrics is not None
-    # Ratios 1.2, 1.5, 1.43, 2 against 1.25, 1.5625, 1.953.
-    assert (metrics.delta1, metrics.delta2, metrics.delta3) == (0.25, 0.75, 0.75)
-    assert metrics.rel == pytest.approx((0.2 + 1 / 3 + 0.3 + 1.0) / 4)
-    assert metrics.rmse == pytest.approx(math.sqrt((0.04 + 0.25 + 1.44 + 16) / 4), rel=1e-6)
-
-
-def test_unknown_pixels_and_those_beyond_the_range_are_not_scored() -> None:
-    truth = [[2.0, 0.0, 10.0, 30.0, 1e-3, 5e-4]]
-    metrics = score(depth_of([[3.0, 9.0, 9.0, 9.0, 9.0, 9.0]]), sample_of(truth), EVERYWHERE)
-    assert metrics is not None
-    assert metrics.rel == pytest.approx(0.5)
-
-
-def test_known_is_what_the_mask_says_not_the_depth() -> None:
-    sample = sample_of([[2.0, 2.0]])
-    sample = dataclasses.replace(sample, mask=torch.tensor([[[True, False]]]))
-    metrics = score(depth_of([[3.0, 9.0]]), sample, EVERYWHERE)
-    assert metrics is not None
-    assert metrics.rel == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize(
-    ("prediction", "counts_as"),
-    [(100.0, 10.0), (math.inf, 10.0), (math.nan, 1e-3), (-math.inf, 1e-3), (-1.0, 1e-3), (0.0, 1e-3)],
-)
-def test_prediction_counts_as_the_nearest_in_range_and_nan_as_near(prediction: float, counts_as: float) -> None:
-    metrics = score(depth_of([[prediction]]), sample_of([[4.0]]), EVERYWHERE)
-    assert metrics is not None
-    assert metrics.rel == pytest.approx(abs(counts_as - 4) / 4)
-    assert metrics.log10 == pytest.approx(abs(math.log10(counts_as / 4)), rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("protocol", "size", "inside"),
-    [
-        (INDOOR, (480, 640), (slice(45, 471), slice(41, 601))),
-        (OUTDOOR, (352, 1216), (slice(143, 349), slice(43, 1172))),
-    ],
-    ids=["eigen", "garg"],
-)
-def test_errors_outside_the_crop_do_not_count(
-    protocol: Protocol, size: tuple[int, int], inside: tuple[slice, slice]
-) -> None:
-    truth = np.full(size, 4.0)
-    depth = np.full(size, 9.0, dtype=np.float32)
-    depth[inside] = 5.0
-    metrics = score(depth, sample_of(truth), protocol)
-    assert metrics is not None
-    assert metrics.rel == pytest.approx(0.25)
-    # And every pixel inside does: one that is 1 m worse adds 0.25 / the number of them.
-    depth[inside[0].start, inside[1].start] = 6.0
-    n_pixels = (inside[0].stop - inside[0].start) * (inside[1].stop - inside[1].start)
-    worse = score(depth, sample_of(truth), protocol)
-    assert worse is not None
-    assert worse.rel - metrics.rel == pytest.approx(0.25 / n_pixels, rel=1e-3)
-
-
-def test_photo_without_a_scored_pixel_has_no_score() -> None:
-    assert score(depth_of([[2.0]]), sample_of([[0.0]]), EVERYWHERE) is None
-    assert score(depth_of([[2.0]]), sample_of([[20.0]]), EVERYWHERE) is None
-    assert score(np.full((40, 40), 2.0, dtype=np.float32), sample_of(np.full((40, 40), 2.0)), INDOOR) is None
-
-
-def test_mean_is_over_photos_not_pixels() -> None:
-    one = score(depth_of([[3.0]]), sample_of([[2.0]]), EVERYWHERE)
-    many = score(depth_of([[2.0] * 9]), sample_of([[2.0] * 9]), EVERYWHERE)
-    assert one is not None
-    assert many is not None
-    assert mean_metrics([one, many]).rel == pytest.approx(0.25)
-
-
-# ---------------------------------------------------------------------------------------------------- prediction
-
-
-@pytest.fixture
-def outdoor_model(tiny_model: ZoeDepth) -> ZoeDepth:
-    """Takes every photo, and its mirror image, for an outdoor one."""
-    with torch.no_grad():
+def test_scores_are_by_number_with_names_and_the_domain_of_the_head(tiny_model: ZoeDepth) -> None:
+    with torch.no_grad():  # takes every photo for an outdoor one
         tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([0.0, 1000.0]))
-    return tiny_model
+    found = evaluate(ModelSource(tiny_model), photos(3, without_truth=[1]), PROTOCOLS)
+    assert list(found.scores) == [0, 1, 2]
+    assert [s.name for s in found.scores.values()] == ["0.jpg", "1.jpg", "2.jpg"]
+    assert [s.domain for s in found.scores.values()] == ["indoor", "outdoor", "indoor"]
+    assert [s.sums is None for s in found.scores.values()] == [False, True, False]
+    assert [s.routed for s in found.scores.values()] == ["outdoor", None, "outdoor"]
+    assert found.failures == []
 
 
-def error_against(model: ZoeDepth, sample: Sample, truth: torch.Tensor, *, flip_average: bool) -> float:
-    """REL of the model's prediction against this depth."""
-    protocol = Protocol("everywhere", max_depth=1e3, flip_average=flip_average)
-    target = truth.reshape(1, *sample.target.shape[1:])
-    (result,) = evaluate(model, [dataclasses.replace(sample, target=target, mask=target > 0)], protocol)
-    assert result.metrics is not None
-    return result.metrics.rel
-
-
-def test_prediction_is_that_of_the_original_evaluation(outdoor_model: ZoeDepth) -> None:
-    sample = photo((50, 90))
-    # Resized to multiples of 32 near 64 in height, corners aligned; averaged with the mirrored one at that size;
-    # resized to the photo's size, corners aligned.
-    pixels = F.interpolate(sample.image[None], (64, 128), mode="bilinear", align_corners=True)
-    with torch.no_grad():
-        output = outdoor_model(pixels)
-        mirrored = outdoor_model(pixels.flip(-1), domain=output.domain).depth.flip(-1)
-    averaged, plain = (
-        F.interpolate(depth, (50, 90), mode="bilinear", align_corners=True)
-        for depth in ((output.depth + mirrored) / 2, output.depth)
-    )
-    assert error_against(outdoor_model, sample, averaged, flip_average=True) < 1e-5
-    assert error_against(outdoor_model, sample, plain, flip_average=False) < 1e-5
-    assert error_against(outdoor_model, sample, plain, flip_average=True) > 1e-4
-
-
-def test_antialiased_model_sees_fine_stripes_as_grey(tiny_config: ModelConfig) -> None:
-    torch.manual_seed(0)
-    sharp = ZoeDepth(tiny_config).eval()
-    smooth = ZoeDepth(dataclasses.replace(tiny_config, antialias=True)).eval()
-    smooth.load_state_dict(sharp.state_dict())
-    grey = sample_of(np.full((512, 512), 1.0))
-    grey = dataclasses.replace(grey, image=torch.full((3, 512, 512), 128 / 255))
-    stripes = dataclasses.replace(grey, image=(torch.arange(512) % 2).expand(3, 512, 512).float())
-
-    def difference(model: ZoeDepth) -> float:
-        with torch.no_grad():
-            truth = model(torch.full((1, 3, 64, 64), 128 / 255)).depth
-        truth = F.interpolate(truth, (512, 512), mode="bilinear", align_corners=True)
-        assert error_against(model, grey, truth, flip_average=False) < 1e-3
-        return error_against(model, stripes, truth, flip_average=False)
-
-    assert difference(smooth) < 0.2 * difference(sharp)
+def test_score_is_that_of_the_prediction_under_the_protocol_of_its_domain() -> None:
+    samples = photos(2)
+    source = FactorSource({"0.jpg": 1.5, "1.jpg": 1.5})
+    scores = evaluate(source, samples, PROTOCOLS).scores
+    for index, protocol in enumerate((EVERYWHERE, PLAIN)):
+        assert scores[index] == score(source.predict(samples[index], protocol), samples[index], protocol)
+    # At 9 m one is clipped to 10, the other is not.
+    assert scores[0].sums.metrics().rel < 0.5 == pytest.approx(scores[1].sums.metrics().rel, abs=1e-6)
 
 
 def test_kitti_photos_are_cut_to_their_bottom_centre_first(tiny_model: ZoeDepth) -> None:
     sample = photo((375, 1242), domain="outdoor")
     cropped = kitti_crop()(sample, np.random.default_rng(0))
-    protocol = dataclasses.replace(OUTDOOR, kitti_crop=False)
-    (ours,) = evaluate(tiny_model, [sample], OUTDOOR)
-    (expected,) = evaluate(tiny_model, [cropped], protocol)
-    (other,) = evaluate(tiny_model, [sample], protocol)
+    uncut = replace(OUTDOOR, kitti_crop=False)
+    source = ModelSource(tiny_model)
+    ours, expected, other = (
+        evaluate(source, [given], {"outdoor": protocol}).scores[0]
+        for given, protocol in ((sample, OUTDOOR), (cropped, uncut), (sample, uncut))
+    )
     assert ours == expected
     assert ours != other
+    assert ours.sums.n_pixels == 232_574
 
 
-def test_scores_come_in_order_with_names_and_the_domain_of_the_head(outdoor_model: ZoeDepth) -> None:
-    samples = [
-        dataclasses.replace(photo((64, 64), seed=seed), name=f"{seed}.jpg", domain="indoor") for seed in range(3)
-    ]
-    samples[1] = dataclasses.replace(samples[1], mask=samples[1].mask & False)
-    scores = list(evaluate(outdoor_model, samples, EVERYWHERE))
+@pytest.mark.parametrize("protocol", [OUTDOOR, PLAIN], ids=["cut", "not cut"])
+def test_prediction_comes_with_the_sample_it_is_scored_against(protocol: Protocol) -> None:
+    sample = photo((375, 1242), domain="outdoor")
+    prediction, shown = predict(FactorSource(), sample, protocol)
+    assert torch.equal(shown.target, prepared(sample, protocol).target)
+    np.testing.assert_array_equal(prediction.depth, shown.target[0].numpy())
+    assert prediction.depth.shape == ((352, 1216) if protocol.kitti_crop else (375, 1242))
 
-    assert [score.name for score in scores] == ["0.jpg", "1.jpg", "2.jpg"]
-    assert [score.metrics is None for score in scores] == [False, True, False]
-    assert [score.domain for score in scores] == ["outdoor"] * 3
+
+def test_photos_without_truth_are_counted_and_never_predicted() -> None:
+    source = FactorSource()
+    scores = evaluate(source, photos(4, without_truth=[0, 3]), PROTOCOLS).scores
+    assert asked(source) == ["1.jpg", "2.jpg"]
+    assert scores[0] == Score("0.jpg", "indoor", None, None)
+    assert scores[3] == Score("3.jpg", "outdoor", None, None)
+
+
+def test_truth_that_the_mask_hides_is_scored_where_the_protocol_ignores_masks() -> None:
+    (sample,) = photos(1)
+    hidden = replace(sample, mask=sample.mask & False)
+    source = FactorSource()
+    assert evaluate(source, [hidden], PROTOCOLS).scores[0].sums is None
+    found = evaluate(source, [hidden], {"indoor": replace(EVERYWHERE, use_mask=False)}).scores[0]
+    assert found.sums == evaluate(source, [sample], PROTOCOLS).scores[0].sums
+
+
+def test_failing_photo_is_listed_and_the_rest_scored() -> None:
+    source = FactorSource(broken=["1.jpg"])
+    found = evaluate(source, photos(3), PROTOCOLS)
+    assert list(found.scores) == [0, 2]
+    assert found.failures == ["image 1: 1.jpg is broken"]
+
+
+def test_photo_that_cannot_be_read_is_listed_and_the_rest_scored() -> None:
+    class Damaged(list):
+        def __getitem__(self, index: int) -> Sample:
+            if index == 0:
+                raise InputError("0.jpg is cut short")
+            return super().__getitem__(index)
+
+    found = evaluate(FactorSource(), Damaged(photos(3)), PROTOCOLS)
+    assert list(found.scores) == [1, 2]
+    assert found.failures == ["image 0: 0.jpg is cut short"]
+
+
+def test_domain_without_a_protocol_and_disparity_are_failures_that_say_so() -> None:
+    first, second = photos(2)
+    found = evaluate(FactorSource(), [replace(first, domain="attic"), replace(second, kind="disparity")], PROTOCOLS)
+    assert not found.scores
+    assert "'attic' of 0.jpg" in found.failures[0]
+    assert "1.jpg has disparity" in found.failures[1]
+
+
+def test_other_errors_are_not_swallowed() -> None:
+    class Wrong(FactorSource):
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        evaluate(Wrong(), photos(1), PROTOCOLS)
+
+
+def test_order_of_the_photos_does_not_matter() -> None:
+    samples = photos(7, without_truth=[3])
+    shuffled = random.Random(0).sample(samples, 7)
+    assert [s.name for s in shuffled] != [s.name for s in samples]
+    one, other = (
+        summarise("a", "b", list(evaluate(FactorSource(FACTORS), given, PROTOCOLS).scores.values()), PROTOCOLS)
+        for given in (samples, shuffled)
+    )
+    assert one == other
+
+
+# ---------------------------------------------------------------------------------------------------- files
+
+
+def run(folder: Path, source: FactorSource, samples: list[Sample] | None = None, **options: object):
+    return evaluate(source, samples or photos(5), PROTOCOLS, folder=folder, about={"model": "a"}, **options)
+
+
+def lines_of(folder: Path, name: str = "scores-0-of-1.jsonl") -> list[str]:
+    return (folder / name).read_text().splitlines()
+
+
+def test_file_has_a_header_and_a_line_an_image(tmp_path: Path) -> None:
+    found = run(tmp_path / "new" / "folder", FactorSource(FACTORS))
+    header, *lines = map(json.loads, lines_of(tmp_path / "new" / "folder"))
+    assert header == {
+        "about": {"model": "a"},
+        "protocols": {"indoor": EVERYWHERE.label, "outdoor": PLAIN.label},
+        "images": 5,
+    }
+    assert [line.pop("index") for line in lines] == [0, 1, 2, 3, 4]
+    assert [Score.from_json(line) for line in lines] == list(found.scores.values())
+    assert read_scores(tmp_path / "new" / "folder") == found.scores
+
+
+def test_lines_are_written_one_by_one(tmp_path: Path) -> None:
+    counts = []
+
+    class Watching(FactorSource):
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            counts.append(len(lines_of(tmp_path)))
+            return super().predict(sample, protocol)
+
+    run(tmp_path, Watching())
+    assert counts == [1, 2, 3, 4, 5]
+
+
+def test_interrupted_run_goes_on_with_what_is_missing(tmp_path: Path) -> None:
+    class Interrupted(FactorSource):
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            if sample.name == "2.jpg":
+                raise KeyboardInterrupt
+            return super().predict(sample, protocol)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, Interrupted(FACTORS))
+    source = FactorSource(FACTORS)
+    found = run(tmp_path, source)
+    assert asked(source) == ["2.jpg", "3.jpg", "4.jpg"]
+    assert found.scores == run(tmp_path / "whole", source).scores
+    asked(source)
+    assert run(tmp_path, source) == found
+    assert asked(source) == []
+    assert len(lines_of(tmp_path)) == 6
+
+
+@pytest.mark.parametrize("cut", [1, 2, 30, 400], ids=lambda n: f"{n} bytes")
+def test_half_written_last_line_is_scored_again(tmp_path: Path, cut: int) -> None:
+    source = FactorSource(FACTORS)
+    expected = run(tmp_path, source)
+    asked(source)
+    path = tmp_path / "scores-0-of-1.jsonl"
+    path.write_bytes(path.read_bytes()[:-cut])
+    assert run(tmp_path, source) == expected
+    # Of one byte only the end of the line is lost.
+    assert asked(source) == ([] if cut == 1 else ["4.jpg"])
+    # And what was written behind it is found.
+    assert run(tmp_path, source) == expected
+    assert asked(source) == []
+
+
+@pytest.mark.parametrize("kept", [0, 1, 40])
+def test_run_that_was_killed_at_its_first_line_begins_anew(tmp_path: Path, kept: int) -> None:
+    source = FactorSource(FACTORS)
+    expected = run(tmp_path, source)
+    path = tmp_path / "scores-0-of-1.jsonl"
+    path.write_bytes(path.read_bytes()[:kept])
+    assert run(tmp_path, source) == expected
+    assert run(tmp_path, source) == expected
+    assert len(lines_of(tmp_path)) == 6
+
+
+def test_header_is_there_before_the_first_photo_is_predicted(tmp_path: Path) -> None:
+    class Killed(FactorSource):
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path, Killed())
+    assert json.loads(lines_of(tmp_path)[0])["about"] == {"model": "a"}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"about": {"model": "b"}},
+        {"about": {"model": "a", "more": 1}},
+        {"protocols": {**PROTOCOLS, "indoor": replace(EVERYWHERE, max_depth=9.0)}},
+        {"protocols": {"indoor": EVERYWHERE}},
+        {"data": photos(4)},
+    ],
+    ids=["model", "more about it", "protocol", "domains", "data"],
+)
+def test_scores_of_something_else_are_an_error_that_names_the_file(tmp_path: Path, changes: dict[str, object]) -> None:
+    run(tmp_path, FactorSource())
+    before = lines_of(tmp_path)
+    given = {"data": photos(5), "protocols": PROTOCOLS, "about": {"model": "a"}, **changes}
+    with pytest.raises(InputError, match=r"scores-0-of-1\.jsonl.*give another --out"):
+        evaluate(FactorSource(), folder=tmp_path, **given)
+    assert lines_of(tmp_path) == before
+
+
+def test_failed_photo_is_tried_again(tmp_path: Path) -> None:
+    run(tmp_path, FactorSource(FACTORS, broken=["1.jpg", "3.jpg"]))
+    source = FactorSource(FACTORS, broken=["3.jpg"])
+    found = run(tmp_path, source)
+    assert asked(source) == ["1.jpg", "3.jpg"]
+    assert list(found.scores) == [0, 1, 2, 4]
+    assert found.failures == ["image 3: 3.jpg is broken"]
+
+
+def test_progress_is_of_what_is_missing(tmp_path: Path) -> None:
+    run(tmp_path, FactorSource(broken=["1.jpg", "3.jpg"]))
+    seen: list[list[int]] = []
+    run(tmp_path, FactorSource(), track=lambda indices: seen.append(indices) or iter(indices))
+    assert seen == [[1, 3]]
+
+
+# ---------------------------------------------------------------------------------------------------- processes
+
+
+def summary_of(scores: dict[int, Score]):
+    return summarise("model", "data", list(scores.values()), PROTOCOLS)
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_two_processes_give_exactly_the_numbers_of_one(tmp_path: Path, order: tuple[int, int]) -> None:
+    samples = photos(7, without_truth=[4])
+    alone = run(tmp_path / "one", FactorSource(FACTORS, domain="indoor"), samples)
+    sources = {rank: FactorSource(FACTORS, domain="indoor") for rank in order}
+    for rank in order:
+        run(tmp_path / "two", sources[rank], samples, processes=Processes(rank, 2))
+    assert [asked(sources[rank]) for rank in (0, 1)] == [["0.jpg", "2.jpg", "6.jpg"], ["1.jpg", "3.jpg", "5.jpg"]]
+    together = read_scores(tmp_path / "two")
+    assert list(together.items()) == list(alone.scores.items())
+    numbers = dataclasses.asdict(summary_of(alone.scores))
+    assert numbers == dataclasses.asdict(summary_of(together))
+    assert None not in (numbers["metrics"], numbers["other_mean"], numbers["router"], numbers["boundary_f1"])
+    assert numbers["calibration"]
+    assert len(numbers["domains"]) == 2
+
+
+def test_process_beside_one_that_has_just_begun_does_not_mind(tmp_path: Path) -> None:
+    for name, text in (("scores-0-of-3.jsonl", ""), ("scores-1-of-3.jsonl", '{"abo')):
+        (tmp_path / name).write_text(text)
+    source = FactorSource()
+    run(tmp_path, source, processes=Processes(2, 3))
+    assert asked(source) == ["2.jpg"]
+    assert list(read_scores(tmp_path)) == [2]
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_another_number_of_processes_goes_on(tmp_path: Path, count: int) -> None:
+    samples = photos(7)
+    run(tmp_path, FactorSource(FACTORS), samples, processes=Processes(1, 2))
+    sources = [FactorSource(FACTORS) for _ in range(count)]
+    for rank in range(count):
+        run(tmp_path, sources[rank], samples, processes=Processes(rank, count))
+    assert sorted(name for source in sources for name in asked(source)) == ["0.jpg", "2.jpg", "4.jpg", "6.jpg"]
+    assert read_scores(tmp_path) == run(tmp_path / "one", FactorSource(FACTORS), samples).scores
+
+
+@pytest.mark.parametrize(
+    ("environment", "expected"), [({}, (0, 1)), ({"RANK": "3", "WORLD_SIZE": "8"}, (3, 8))], ids=["alone", "torchrun"]
+)
+def test_processes_are_those_of_torchrun(
+    monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], expected: tuple[int, int]
+) -> None:
+    for name in ("RANK", "WORLD_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert dataclasses.astuple(Processes.from_environment()) == expected

@@ -19,6 +19,6 @@ def named_paths(values: Sequence[str]) -> dict[str, Path]:
             file = Path(value)
             name, path = (file.parent.name if file.suffix == ".csv" else file.name) or file.stem, value
         if not name or not path or name in named:
-            raise InputError(f"--data {value!r}: give NAME=PATH, each name once")
+            raise InputError(f"{value!r}: give NAME=PATH, each name once")
         named[name] = Path(path)
     return named

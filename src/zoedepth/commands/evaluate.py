@@ -31,8 +31,8 @@ def evaluate(
     crop: Literal["none", "eigen", "eigen-scaled", "garg"] | None = None,
     min_depth: float | None = None,
     max_depth: float | None = None,
-    flip: bool | None = None,
-    pad: bool | None = None,
+    flip: bool = True,
+    pad: bool = False,
     resize: Literal["keep-aspect", "squeeze"] | None = None,
     mean: Literal["images", "pixels"] | None = None,
     align: Literal["none", "median", "disparity"] | None = None,
@@ -74,25 +74,30 @@ def evaluate(
     """
     from rich.console import Console
     from rich.table import Table as RichTable
+    from rich.text import Text
 
     from zoedepth.evaluation.evaluate import Processes
     from zoedepth.evaluation.evaluate import evaluate as score_all
-    from zoedepth.evaluation.report import tables
+    from zoedepth.evaluation.report import require_matplotlib, tables
     from zoedepth.evaluation.summary import summarise
 
     console = Console(stderr=True, highlight=False)
     changes = {
-        "crop": crop, "min_depth": min_depth, "max_depth": max_depth, "flip_average": flip, "pad": pad,
+        "crop": crop, "min_depth": min_depth, "max_depth": max_depth,
+        # All protocols average and none pads: only the other way is a change.
+        "flip_average": None if flip else False, "pad": pad or None,
         "resize": resize, "mean": mean, "alignment": align,
     }  # fmt: skip
     changes = {name: value for name, value in changes.items() if value is not None}
+    if out is not None and pictures:
+        require_matplotlib()
+    processes = _join(Processes.from_environment(), out)
     sets = {name: _open(path) for name, path in named_paths(data).items()}
-    protocols = {name: _protocols(name, dataset, protocol, changes) for name, dataset in sets.items()}
+    protocols = _protocols(sets, protocol, changes)
     sources = _sources(model, predictions, trivial, protocols, compat=compat, device=device)
-    processes = _join(Processes.from_environment())
     summaries: list[Summary] = []
     pictured = {}
-    n_failed = 0
+    failed = False
     for name, dataset in sets.items():
         for label, (source, about) in sources.items():
             folder = None if out is None else out / _slug(label) / _slug(name)
@@ -101,24 +106,26 @@ def evaluate(
                 dataset,
                 protocols[name],
                 folder=folder,
-                about={"source": label, **about, "data": str(dataset.path)},
+                about={"source": label, **about, "data": str(dataset.path), "list": _fingerprint(dataset.path)},
                 processes=processes,
                 track=lambda indices, label=label, name=name: _track(console, indices, f"{label} on {name}"),
             )
             for failure in results.failures:
                 console.print(f"failed: {name}, {failure}", soft_wrap=True, markup=False)
-            n_failed += len(results.failures)
             scores = _meet(results.scores, folder, processes)
+            n_failed = len(dataset) - len(scores)
+            summary = summarise(label, name, list(scores.values()), protocols[name], n_failed=n_failed)
+            failed = failed or n_failed > 0 or summary.metrics is None
             if processes.rank:
                 continue
-            summaries.append(summarise(label, name, scores, protocols[name], n_failed=len(results.failures)))
-            if summaries[-1].metrics is None:
-                console.print(f"failed: {name}: no image has a known pixel under its protocol", soft_wrap=True)
-                n_failed += 1
+            summaries.append(summary)
+            if scores and summary.metrics is None:
+                problem = f"failed: {name}: no image has a known pixel under its protocol"
+                console.print(problem, soft_wrap=True, markup=False)
             if out is not None and folder is not None and pictures:
                 pictured.setdefault(name, []).extend(_examples(source, dataset, scores, protocols[name], label, folder))
     if processes.rank:
-        return 1 if n_failed else 0
+        return 1 if failed else 0
     if json_:
         for summary in summaries:
             print(json.dumps(_record(summary)))
@@ -129,14 +136,13 @@ def evaluate(
     if not json_:
         wide = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 150)
         for table in found:
-            shown = RichTable(*table.header, title=table.title, title_justify="left")
+            shown = RichTable(*table.header, title=Text(table.title), title_justify="left")
             for i, row in enumerate(table.rows):
-                cells = (f"[bold]{cell}[/]" if (i, j) in table.best else cell for j, cell in enumerate(row))
-                shown.add_row(*cells)
+                shown.add_row(*(Text(cell, "bold" if (i, j) in table.best else "") for j, cell in enumerate(row)))
             wide.print(shown)
     if out is not None:
         console.print(f"Report: {out / 'report.md'}, .tex, .json", soft_wrap=True)
-    return 1 if n_failed else 0
+    return 1 if failed else 0
 
 
 def _open(path: Path) -> "PairDataset":
@@ -149,16 +155,18 @@ def _open(path: Path) -> "PairDataset":
 
 
 def _protocols(
-    name: str, dataset: "PairDataset", wanted: Sequence[str], changes: Mapping[str, object]
-) -> dict[str, Protocol]:
-    """The protocol of each domain of a data set."""
-    chosen = None
-    for entry in wanted:
-        data, equals, value = entry.rpartition("=")
-        if not equals or data == name:
-            chosen = find_protocol(value)
-    found = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
-    return {domain: replace(protocol, **changes) for domain, protocol in found.items()}  # type: ignore[arg-type]
+    sets: "Mapping[str, PairDataset]", wanted: Sequence[str], changes: Mapping[str, object]
+) -> dict[str, dict[str, Protocol]]:
+    """Data set → domain → protocol. The one given for a data set goes before the one for all."""
+    given = {data: find_protocol(value) for data, _, value in (entry.rpartition("=") for entry in wanted)}
+    if unknown := sorted(given.keys() - sets.keys() - {""}):
+        raise InputError(f"--protocol is given for {unknown}; the data is {sorted(sets)}")
+    found = {}
+    for name, dataset in sets.items():
+        chosen = given.get(name) or given.get("")
+        used = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
+        found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}  # type: ignore[arg-type]
+    return found
 
 
 def _sources(
@@ -196,7 +204,7 @@ def _sources(
     if trivial:
         by_domain = {domain: protocol for used in protocols.values() for domain, protocol in used.items()}
         training = [PairDataset(path, split="train") for path in trivial]
-        names = [str(path) for path in trivial]
+        names = {str(dataset.path): _fingerprint(dataset.path) for dataset in training}
         for label, kind in (("best constant", ConstantSource), ("mean depth map", MeanMapSource)):
             samples = (sample for dataset in training for sample in _samples(dataset, by_domain))
             add(label, kind(samples, by_domain), {"training": names})
@@ -205,11 +213,12 @@ def _sources(
 
 def _samples(dataset: "PairDataset", protocols: Mapping[str, Protocol]) -> Iterator:
     """Training samples of the domains that are evaluated."""
-    return (dataset[index] for index, pair in enumerate(dataset.pairs) if pair.domain in protocols)
+    wanted = (i for i, pair in enumerate(dataset.pairs) if pair.kind == "depth" and pair.domain in protocols)
+    return (dataset[index] for index in wanted)
 
 
 def _fingerprint(path: Path) -> str:
-    """What tells one file of weights from another."""
+    """What tells one file of weights, or list, from another."""
     file = path / "model.safetensors" if path.is_dir() else path
     digest = hashlib.sha256()
     with file.open("rb") as opened:
@@ -224,9 +233,11 @@ def _track(console, indices: list[int], description: str) -> Iterator[int]:
     return iter(track(indices, description=description, console=console, disable=not console.is_terminal))
 
 
-def _join(processes):
+def _join(processes, out: Path | None):
     """Meet the other processes of torchrun, if there are any."""
     if processes.count > 1:
+        if out is None:
+            raise InputError("several processes need --out, where they leave their scores")
         import torch.distributed as distributed
 
         if not distributed.is_initialized():
@@ -236,10 +247,8 @@ def _join(processes):
 
 def _meet(scores, folder: Path | None, processes):
     """The scores of all processes, in the order of the data set."""
-    if processes.count == 1:
+    if processes.count == 1 or folder is None:
         return scores
-    if folder is None:
-        raise InputError("several processes need --out, where they leave their scores")
     import torch.distributed as distributed
 
     from zoedepth.evaluation.evaluate import read_scores

@@ -16,6 +16,8 @@ def boundary_f1(
 ) -> float | None:
     """F1 of occluding edges, in [0, 1], averaged over thresholds with the threshold's excess as weight.
 
+    A threshold above which neither has an edge says nothing and is left out.
+
     An edge lies between two neighbouring known pixels, in a row or a column, where the farther is more than t times the
     nearer; it agrees if it lies in the same place and falls in the same direction. It does not see a factor on the
     depth. (Bochkovskii et al. 2024, Depth Pro, section 3.4, for neighbours across and down.)
@@ -29,9 +31,9 @@ def boundary_f1(
         n_true, n_found = true_edges.sum(), found_edges.sum()
         if not scores and n_true < MIN_PAIRS:
             return None
-        hits = (true_edges & found_edges).sum()
-        scores.append(2 * hits / (n_true + n_found) if n_true + n_found else 0.0)
-        weights.append(threshold - 1)
+        if n_true + n_found:
+            scores.append(2 * (true_edges & found_edges).sum() / (n_true + n_found))
+            weights.append(threshold - 1)
     return float(np.average(scores, weights=weights))
 
 

@@ -14,8 +14,8 @@ class Calibration:
 
     ause: float
     """Area under the sparsification error: the REL that is left when the least sure pixels are taken away first, above
-    what is left when the worst are; over the same for pixels taken away by chance. 0: the doubts are in the order of the
-    errors, 1: they are in no order."""
+    what is left when the worst are; over the same for pixels taken away by chance. 0: the doubts are in the order of
+    the errors, 1: they are in no order."""
     coverage1: float
     """Share of pixels whose truth lies within one standard deviation (0.68 if errors were normal)."""
     coverage2: float

@@ -33,8 +33,8 @@ class Processes:
 class Results:
     """The scores of one source on one data set."""
 
-    scores: list[Score] = field(default_factory=list)
-    """In the order of the data set."""
+    scores: dict[int, Score] = field(default_factory=dict)
+    """By the number of the image in the data set, in its order; images that failed have none."""
     failures: list[str] = field(default_factory=list)
     """One message for each image that could not be read or predicted."""
 
@@ -93,7 +93,7 @@ def evaluate(
     finally:
         if file is not None:
             file.close()
-    results.scores = [done[index] for index in sorted(done)]
+    results.scores = dict(sorted(done.items()))
     return results
 
 
@@ -103,10 +103,9 @@ def predict(source: Source, sample: Sample, protocol: Protocol) -> tuple[Predict
     return source.predict(shown, protocol), shown
 
 
-def read_scores(folder: Path) -> list[Score]:
-    """All scores that processes have written into a folder, in the order of the data set."""
-    done = _read(folder, None)
-    return [done[index] for index in sorted(done)]
+def read_scores(folder: Path) -> dict[int, Score]:
+    """All scores that processes have written into a folder, as in :class:`Results`."""
+    return dict(sorted(_read(folder, None).items()))
 
 
 def _score_one(source: Source, sample: Sample, protocols: Mapping[str, Protocol]) -> Score:
@@ -116,18 +115,22 @@ def _score_one(source: Source, sample: Sample, protocols: Mapping[str, Protocol]
         raise InputError(f"{sample.name} has disparity, in which there are no metres to score")
     protocol = protocols[sample.domain]
     shown = prepared(sample, protocol)
-    if not shown.mask.any():
+    known = shown.mask if protocol.use_mask else shown.target > 0
+    if not known.any():
         return Score(sample.name, sample.domain, None, None)
     return score(source.predict(shown, protocol), shown, protocol)
 
 
 def _append_to(path: Path, header: dict):  # a text file
-    new = not path.exists() or path.stat().st_size == 0
-    file = path.open("a", encoding="utf-8")
-    if new:
+    written = path.read_bytes() if path.exists() else b""
+    if b"\n" not in written:  # new, or killed at its first line
+        file = path.open("w", encoding="utf-8")
         file.write(json.dumps(header) + "\n")
-    elif not path.read_bytes().endswith(b"\n"):
-        file.write("\n")  # the last line of a killed run
+    else:
+        file = path.open("a", encoding="utf-8")
+        if not written.endswith(b"\n"):
+            file.write("\n")  # the last line of a killed run
+    file.flush()
     return file
 
 
@@ -135,8 +138,10 @@ def _read(folder: Path, header: dict | None) -> dict[int, Score]:
     """The scores in a folder by the number of their image; a half-written last line is left out."""
     done: dict[int, Score] = {}
     for path in sorted(folder.glob("scores-*-of-*.jsonl")):
-        first, *lines = path.read_text(encoding="utf-8").splitlines() or ["{}"]
-        if header is not None and first.strip() and _parse(first) != json.loads(json.dumps(header)):
+        first, *lines = path.read_text(encoding="utf-8").split("\n")
+        if not lines:  # another process has just begun it, or was killed then
+            continue
+        if header is not None and _parse(first) != json.loads(json.dumps(header)):
             raise InputError(
                 f"{path} holds scores of another model, data set or protocol: give another --out, or remove it. "
                 f"There: {first[:300]}"

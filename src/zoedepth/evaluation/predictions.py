@@ -103,7 +103,7 @@ class ConstantSource:
             truth = _known(_cut(sample, protocols[sample.domain]), protocols[sample.domain])
             # A few pixels of each image are enough for one number.
             values.setdefault(sample.domain, []).append(truth[:: max(1, len(truth) // 2000)])
-        self.depth = {domain: _least_rel(np.concatenate(found)) for domain, found in values.items()}
+        self.depth = {domain: _least_rel(np.concatenate(found), domain) for domain, found in values.items()}
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """The domain's constant."""
@@ -127,7 +127,7 @@ class MeanMapSource:
             known = (mask > 0) & (truth > protocol.min_depth) & (truth < protocol.max_depth)
             total[sample.domain] = total.get(sample.domain, np.zeros(self.SIZE)) + np.where(known, truth, 0)
             count[sample.domain] = count.get(sample.domain, np.zeros(self.SIZE)) + known
-        self.depth = {domain: _filled(total[domain], count[domain]) for domain in total}
+        self.depth = {domain: _filled(total[domain], count[domain], domain) for domain in total}
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """The domain's mean map, at the size of the true depth."""
@@ -151,15 +151,19 @@ def _known(sample: Sample, protocol: Protocol) -> Float[np.ndarray, " pixels"]:
     return truth[sample.mask[0].numpy() & (truth > protocol.min_depth) & (truth < protocol.max_depth)]
 
 
-def _least_rel(truth: Float[np.ndarray, " pixels"]) -> float:
+def _least_rel(truth: Float[np.ndarray, " pixels"], domain: str) -> float:
     """The constant c with the least mean |truth - c| / truth: the median of the truth, weighted by its inverse."""
+    if not len(truth):
+        raise InputError(f"the training data of the domain {domain!r} has no known depth")
     truth = np.sort(truth.astype(np.float64))
     weight = np.cumsum(1 / truth)
     return float(truth[np.searchsorted(weight, weight[-1] / 2)])
 
 
-def _filled(total: np.ndarray, count: np.ndarray) -> DepthArray:
+def _filled(total: np.ndarray, count: np.ndarray, domain: str) -> DepthArray:
     """The mean where anything was known, and the mean of its row, or of all, elsewhere."""
+    if not count.any():
+        raise InputError(f"the training data of the domain {domain!r} has no known depth")
     with np.errstate(invalid="ignore"):
         mean, rows = total / count, total.sum(1) / count.sum(1)
     rows = np.where(np.isfinite(rows), rows, total.sum() / count.sum())

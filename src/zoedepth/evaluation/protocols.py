@@ -58,7 +58,7 @@ class Protocol:
     @property
     def hash(self) -> str:
         """Eight characters that change with every field but the name."""
-        values = asdict(self)
+        values = {**asdict(self), "min_depth": float(self.min_depth), "max_depth": float(self.max_depth)}
         del values["name"]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
 

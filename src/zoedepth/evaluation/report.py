@@ -71,7 +71,7 @@ def write_report(
 
 
 def examples(
-    source: Source, data: Samples, scores: Sequence[Score], protocols: Mapping[str, Protocol]
+    source: Source, data: Samples, scores: Mapping[int, Score], protocols: Mapping[str, Protocol]
 ) -> ImageArray | None:
     """Best, median and worst image by REL: photo, truth, prediction, error; one scale of colours for all depths.
 
@@ -79,7 +79,7 @@ def examples(
         None where nothing was scored.
     """
     ranked = sorted(
-        (i for i, score in enumerate(scores) if score.sums is not None),
+        (i for i, score in scores.items() if score.sums is not None),
         key=lambda i: scores[i].sums.metrics().rel,  # type: ignore[union-attr]  # scored ones only
     )
     if not ranked:
@@ -120,16 +120,27 @@ def examples(
     return sheet(panels)
 
 
+def require_matplotlib() -> None:
+    """Nothing, where the plots can be made.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib.figure  # noqa: F401
+    except ImportError as error:
+        raise MissingExtraError("report", "an evaluation report with pictures") from error
+
+
 def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
     """A plot of REL against true depth, of all sources on one data set, above the share of pixels at that depth.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("report", "the plots of an evaluation report") from error
+    require_matplotlib()
+    from matplotlib.figure import Figure
+
     names = [f"{low:g}-{high:g}" for low, high in pairwise(RANGES)]
     names = [name for name in names if any(name in summary.ranges for summary in summaries)]
     figure = Figure(figsize=(7, 4.2), layout="constrained")

@@ -36,7 +36,7 @@ class Score:
     ranges: tuple[Sums, ...] = ()
     """The same by true depth, between consecutive ``RANGES``."""
     calibration: Calibration | None = None
-    """How the model's own uncertainty goes with its errors, where it has one."""
+    """How the model's own uncertainty goes with its errors, where it has one and its depth is not aligned."""
     boundary_f1: float | None = None
     """Agreement of depth edges, where the truth is dense enough to have any."""
 
@@ -71,7 +71,7 @@ def score(prediction: Prediction, sample: Sample, protocol: Protocol) -> Score:
         for part in (scored & (truth >= low) & (truth < high) for low, high in itertools.pairwise(RANGES))
     )
     found = None
-    if prediction.std is not None:
+    if prediction.std is not None and protocol.alignment == "none":
         std = fit(prediction.std, truth.shape)
         found = calibration(depth[scored], truth[scored], std[scored])
     edges = boundary_f1(depth, truth, scored)
@@ -97,7 +97,7 @@ def aligned_depth(
         InputError: relative depth under a protocol that does not align the inverse depth.
     """
     low, high = max(protocol.min_depth, 1e-6), protocol.max_depth
-    depth = fit(prediction.depth, truth.shape).astype(np.float64)
+    depth, truth = fit(prediction.depth, truth.shape).astype(np.float64), truth.astype(np.float64)
     if prediction.relative and protocol.alignment != "disparity":
         raise InputError("relative depth has no metres: score it with --align disparity")
     # As released: what is not a number counts as nearest, what is infinite as farthest.

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import asdict
 
-from zoedepth.data.sample import Samples
-from zoedepth.evaluation.evaluate import evaluate
+from zoedepth.data.sample import Sample, Samples
+from zoedepth.evaluation.evaluate import predict
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
+from zoedepth.evaluation.scoring import Score, score
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 
@@ -17,13 +18,18 @@ def validate(model: ZoeDepth, validation: Mapping[str, Samples]) -> dict[str, fl
     model.eval()
     numbers = {}
     for name, subset in validation.items():
-        domains = {subset[i].domain for i in range(len(subset))}
-        scores = evaluate(ModelSource(model), subset, {domain: protocol_of(domain) for domain in domains}).scores
-        scored = [score.sums.metrics() for score in scores if score.sums is not None]
+        scores = [_score(model, subset[i]) for i in range(len(subset))]
+        scored = [s.sums.metrics() for s in scores if s.sums is not None]
         if scored:  # sparse depth may have no pixel inside the crop
             means = asdict(mean_metrics(scored))
             numbers |= {f"validation/{name}/{metric}": means[metric] for metric in ("rel", "rmse", "delta1")}
-        if routed := [score for score in scores if score.routed is not None]:
+        if routed := [s for s in scores if s.routed is not None]:
             numbers[f"validation/{name}/router"] = sum(s.routed == s.domain for s in routed) / len(routed)
     model.train(training)
     return numbers
+
+
+def _score(model: ZoeDepth, sample: Sample) -> Score:
+    protocol = protocol_of(sample.domain)
+    prediction, shown = predict(ModelSource(model), sample, protocol)
+    return score(prediction, shown, protocol)

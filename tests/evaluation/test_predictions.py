@@ -1,0 +1,307 @@
+"""Sources of predictions: a model as the protocol runs it, files found by name, and what is said without looking."""
+
+import dataclasses
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from PIL import Image
+from tests.evaluation.samples import EVERYWHERE, photo, sample_of
+from torchvision.transforms import functional as transforms
+
+from zoedepth.config import ModelConfig
+from zoedepth.data.sample import Sample
+from zoedepth.errors import InputError
+from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
+from zoedepth.evaluation.protocols import OUTDOOR, Protocol
+from zoedepth.images import write_depth, write_depth_png
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
+
+PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
+
+# ---------------------------------------------------------------------------------------------------- models
+
+
+@pytest.fixture
+def outdoor_model(tiny_model: ZoeDepth) -> ZoeDepth:
+    """Takes every photo, and its mirror image, for an outdoor one."""
+    with torch.no_grad():
+        tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([0.0, 1000.0]))
+    return tiny_model
+
+
+def test_prediction_is_that_of_the_original_evaluation(outdoor_model: ZoeDepth) -> None:
+    sample = photo((50, 90))
+    # Resized to multiples of 32 near 64 in height, corners aligned; averaged with the mirrored one at that size;
+    # resized to the photo's size, corners aligned.
+    pixels = F.interpolate(sample.image[None], (64, 128), mode="bilinear", align_corners=True)
+    with torch.no_grad():
+        output = outdoor_model(pixels)
+        mirrored = outdoor_model(pixels.flip(-1), domain=output.domain).depth.flip(-1)
+    averaged, plain = (
+        F.interpolate(depth, (50, 90), mode="bilinear", align_corners=True)[0, 0].numpy()
+        for depth in ((output.depth + mirrored) / 2, output.depth)
+    )
+    found = ModelSource(outdoor_model).predict(sample, EVERYWHERE)
+    np.testing.assert_allclose(found.depth, averaged, rtol=1e-5)
+    found = ModelSource(outdoor_model).predict(sample, replace(EVERYWHERE, flip_average=False))
+    np.testing.assert_allclose(found.depth, plain, rtol=1e-5)
+    assert np.abs(averaged / plain - 1).mean() > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("switch", "argument"),
+    [
+        ({}, {}),
+        ({"flip_average": False}, {"flip_average": False}),
+        ({"pad": True}, {"pad": True}),
+        ({"resize": "squeeze"}, {"resize": "squeeze"}),
+        ({"upsampling": "bicubic"}, {"upsampling": "bicubic"}),
+    ],
+    ids=["none", "no flip", "pad", "squeeze", "bicubic"],
+)
+def test_model_is_run_as_the_protocol_says(
+    tiny_model: ZoeDepth, switch: dict[str, object], argument: dict[str, object]
+) -> None:
+    sample = photo((50, 90))
+    settings = {"flip_average": True, "pad": False, "resize": "keep-aspect", "upsampling": "bilinear", **argument}
+    expected = Predictor(tiny_model, **settings)(sample.image)
+    found = ModelSource(tiny_model).predict(sample, replace(EVERYWHERE, **switch))
+    np.testing.assert_array_equal(found.depth, expected.depth)
+    np.testing.assert_array_equal(found.std, expected.std)
+    assert (found.domain, found.relative) == (expected.domain, False)
+    if switch:
+        assert not np.array_equal(found.depth, ModelSource(tiny_model).predict(sample, EVERYWHERE).depth)
+
+
+def test_protocol_has_the_last_word_on_the_proportions(tiny_config: ModelConfig, tiny_model: ZoeDepth) -> None:
+    squeezing = ZoeDepth(replace(tiny_config, resize="squeeze")).eval()
+    squeezing.load_state_dict(tiny_model.state_dict())
+    sample = photo((50, 90))
+    for resize in ("keep-aspect", "squeeze"):
+        found, expected = (
+            ModelSource(m).predict(sample, replace(EVERYWHERE, resize=resize)) for m in (squeezing, tiny_model)
+        )
+        np.testing.assert_array_equal(found.depth, expected.depth)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "size"),
+    [
+        (replace(EVERYWHERE, photo_size=(70, 60)), (70, 60)),
+        (replace(EVERYWHERE, photo_short_side=30), (30, 54)),
+        (replace(EVERYWHERE, photo_short_side=100), (100, 180)),
+    ],
+    ids=["size", "short side", "enlarged"],
+)
+def test_photo_has_the_size_of_the_protocol_first(
+    tiny_model: ZoeDepth, protocol: Protocol, size: tuple[int, int]
+) -> None:
+    sample = photo((50, 90))
+    resized = transforms.resize(sample.image, list(size), antialias=True).clamp(0, 1)
+    found = ModelSource(tiny_model).predict(sample, protocol)
+    expected = Predictor(tiny_model, pad=False, upsampling="bilinear")(resized)
+    np.testing.assert_array_equal(found.depth, expected.depth)
+    assert found.depth.shape == size
+
+
+def test_shorter_side_of_an_upright_photo_is_its_width(tiny_model: ZoeDepth) -> None:
+    found = ModelSource(tiny_model).predict(photo((90, 50)), replace(EVERYWHERE, photo_short_side=30))
+    assert found.depth.shape == (54, 30)
+
+
+def test_model_of_one_domain_has_no_choice_of_head(tiny_config: ModelConfig) -> None:
+    torch.manual_seed(0)
+    model = ZoeDepth(replace(tiny_config, domains=tiny_config.domains[:1])).eval()
+    assert ModelSource(model).predict(photo((64, 64)), EVERYWHERE).domain is None
+
+
+@pytest.mark.parametrize("flip", [True, False])
+def test_model_without_metric_heads_gives_relative_depth(tiny_config: ModelConfig, flip: bool) -> None:
+    torch.manual_seed(0)
+    model = ZoeDepth(replace(tiny_config, domains=())).eval()
+    sample = photo((50, 90))
+    found = ModelSource(model).predict(sample, replace(EVERYWHERE, flip_average=flip))
+    expected = Predictor(model, pad=False, upsampling="bilinear", flip_average=flip).relative(sample.image)
+    np.testing.assert_array_equal(found.depth, expected)
+    assert (found.relative, found.std, found.domain) == (True, None, None)
+
+
+def test_antialiased_model_sees_fine_stripes_as_grey(tiny_config: ModelConfig) -> None:
+    torch.manual_seed(0)
+    sharp = ZoeDepth(tiny_config).eval()
+    smooth = ZoeDepth(replace(tiny_config, antialias=True)).eval()
+    smooth.load_state_dict(sharp.state_dict())
+    grey = replace(sample_of(np.full((512, 512), 1.0)), image=torch.full((3, 512, 512), 128 / 255))
+    stripes = replace(grey, image=(torch.arange(512) % 2).expand(3, 512, 512).float())
+    protocol = replace(EVERYWHERE, flip_average=False)
+
+    def difference(model: ZoeDepth) -> float:
+        seen = [ModelSource(model).predict(sample, protocol).depth for sample in (grey, stripes)]
+        return float(np.abs(seen[1] / seen[0] - 1).mean())
+
+    assert difference(smooth) < 0.2 * difference(sharp)
+
+
+# ---------------------------------------------------------------------------------------------------- files
+
+DEPTH = np.array([[1.5, 2.0], [0.25, 8.0]], dtype=np.float32)
+
+
+def named(name: str) -> Sample:
+    return sample_of([[2.0]], name=name)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".npy", ".npz"])
+@pytest.mark.parametrize("place", ["image/room.1/0007", "0007", "image/room.1/0007_depth", "0007_depth"])
+def test_file_is_found_by_path_or_name_with_or_without_depth(tmp_path: Path, place: str, suffix: str) -> None:
+    write_depth(tmp_path / f"{place}{suffix}", DEPTH)
+    found = FolderSource(tmp_path).predict(named("image/room.1/0007.jpg"), EVERYWHERE)
+    np.testing.assert_allclose(found.depth, DEPTH, atol=5e-4)
+    assert (found.std, found.domain, found.relative) == (None, None, False)
+
+
+def test_file_in_the_photos_tree_goes_before_one_of_the_same_name(tmp_path: Path) -> None:
+    write_depth(tmp_path / "7.npy", DEPTH)
+    write_depth(tmp_path / "b" / "7.npy", 2 * DEPTH)
+    source = FolderSource(tmp_path)
+    np.testing.assert_array_equal(source.predict(named("b/7.jpg"), EVERYWHERE).depth, 2 * DEPTH)
+    np.testing.assert_array_equal(source.predict(named("a/7.jpg"), EVERYWHERE).depth, DEPTH)
+
+
+def test_scale_of_a_png_is_that_in_the_file_or_the_one_given(tmp_path: Path) -> None:
+    write_depth_png(tmp_path / "a.png", DEPTH, scale=256)
+    np.testing.assert_array_equal(FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE).depth, DEPTH)
+    Image.fromarray((DEPTH * 256).astype(np.uint16)).save(tmp_path / "b.png")
+    found = FolderSource(tmp_path, scale=256).predict(named("b.jpg"), EVERYWHERE)
+    np.testing.assert_array_equal(found.depth, DEPTH)
+    with pytest.raises(InputError, match=r"b\.png does not say its scale"):
+        FolderSource(tmp_path).predict(named("b.jpg"), EVERYWHERE)
+
+
+def test_scale_is_not_for_files_in_metres(tmp_path: Path) -> None:
+    write_depth(tmp_path / "a.npy", DEPTH)
+    found = FolderSource(tmp_path, scale=256).predict(named("a.jpg"), EVERYWHERE)
+    np.testing.assert_array_equal(found.depth, DEPTH)
+
+
+def test_missing_file_is_an_error_that_names_photo_and_folder(tmp_path: Path) -> None:
+    write_depth(tmp_path / "other.npy", DEPTH)
+    with pytest.raises(InputError) as raised:
+        FolderSource(tmp_path).predict(named("image/7.jpg"), EVERYWHERE)
+    assert str(tmp_path) in str(raised.value)
+    assert "image/7.jpg" in str(raised.value)
+
+
+def test_damaged_file_is_an_error_that_names_it(tmp_path: Path) -> None:
+    (tmp_path / "7.npy").write_bytes(b"no array")
+    with pytest.raises(InputError, match=r"7\.npy"):
+        FolderSource(tmp_path).predict(named("7.jpg"), EVERYWHERE)
+
+
+def test_missing_folder_is_an_error_that_names_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="nowhere"):
+        FolderSource(tmp_path / "nowhere")
+
+
+# ---------------------------------------------------------------------------------------------------- without looking
+
+
+def skewed(*, seed: int, domain: str = "indoor", size: tuple[int, int] = (9, 11)) -> Sample:
+    """Depth of a long tail, in part unknown or beyond 10 m."""
+    rng = np.random.default_rng(seed)
+    return sample_of(np.where(rng.random(size) < 0.8, np.exp(rng.normal(0.5, 1, size)), 0), domain=domain)
+
+
+def test_constant_has_the_least_mean_rel_of_all() -> None:
+    training = [skewed(seed=seed) for seed in range(3)]
+    truth = np.concatenate([sample.target[sample.mask].numpy() for sample in training]).astype(np.float64)
+    truth = truth[truth < 10]
+    assert len(truth) < sum(int(sample.mask.sum()) for sample in training)
+
+    def rel(constant: float) -> float:
+        return float(np.mean(np.abs(truth - constant) / truth))
+
+    best = ConstantSource(training, PROTOCOLS).depth["indoor"]
+    assert rel(best) <= min(rel(c) for c in np.concatenate([np.linspace(0.01, 10, 2000), truth])) + 1e-12
+    assert rel(best) < rel(float(np.median(truth)))
+
+
+def test_constant_is_everywhere_at_the_size_of_the_truth() -> None:
+    source = ConstantSource([sample_of([[2.0, 2.0, 4.0]])], PROTOCOLS)
+    found = source.predict(photo((6, 5)), EVERYWHERE)
+    np.testing.assert_array_equal(found.depth, np.full((6, 5), 2.0, np.float32))
+    assert (found.std, found.relative) == (None, False)
+
+
+def test_mean_map_is_the_mean_of_the_known_pixels() -> None:
+    rng = np.random.default_rng(0)
+    truths = np.where(rng.random((4, *MeanMapSource.SIZE)) < 0.7, rng.uniform(1, 12, (4, *MeanMapSource.SIZE)), 0)
+    truths = truths.astype(np.float32)
+    source = MeanMapSource([sample_of(truth) for truth in truths], PROTOCOLS)
+    known = (truths > 0) & (truths < 10)
+    some = known.any(axis=0)
+    expected = np.where(known, truths, 0).sum(axis=0, dtype=np.float64)[some] / known.sum(axis=0)[some]
+    np.testing.assert_allclose(source.depth["indoor"][some], expected, rtol=1e-6)
+    # Holes: nothing is known in a hundredth of the pixels, which have the mean of their row.
+    row, column = np.argwhere(~some)[0]
+    in_row = truths[:, row][known[:, row]]
+    assert source.depth["indoor"][row, column] == pytest.approx(in_row.mean(dtype=np.float64), rel=1e-6)
+
+
+def test_rows_of_the_mean_map_without_any_depth_have_the_mean_of_all() -> None:
+    truth = np.zeros(MeanMapSource.SIZE)
+    truth[:100], truth[100:150] = 2.0, 8.0
+    depth = MeanMapSource([sample_of(truth)], PROTOCOLS).depth["indoor"]
+    assert (depth[:100] == 2).all()
+    assert (depth[100:150] == 8).all()
+    assert depth[150:] == pytest.approx(4.0)
+
+
+def test_mean_map_is_given_at_the_size_of_the_truth() -> None:
+    rows = np.linspace(2, 6, MeanMapSource.SIZE[0])[:, None] * np.ones((1, MeanMapSource.SIZE[1]))
+    source = MeanMapSource([sample_of(rows)], PROTOCOLS)
+    found = source.predict(photo((5, 7)), EVERYWHERE).depth
+    np.testing.assert_allclose(found, np.array([2.0, 3.0, 4.0, 5.0, 6.0])[:, None] * np.ones((1, 7)), rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_domains_are_kept_apart(kind: type) -> None:
+    training = [sample_of(np.full((4, 4), 2.0)), sample_of(np.full((4, 4), 30.0), domain="outdoor")]
+    source = kind(training, PROTOCOLS)
+    for domain, depth in (("indoor", 2.0), ("outdoor", 30.0)):
+        found = source.predict(photo((3, 3), domain=domain), EVERYWHERE)
+        np.testing.assert_allclose(found.depth, depth)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_domain_that_was_not_in_the_training_data_is_an_error_that_names_both(kind: type) -> None:
+    source = kind([sample_of(np.full((4, 4), 2.0))], PROTOCOLS)
+    with pytest.raises(InputError, match=r"'outdoor'.*'indoor'"):
+        source.predict(photo((3, 3), domain="outdoor"), EVERYWHERE)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_training_data_without_known_depth_is_an_error_that_names_the_domain(kind: type) -> None:
+    with pytest.raises(InputError, match="'indoor' has no known depth"):
+        kind([sample_of(np.full((4, 4), 20.0))], PROTOCOLS)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_training_photos_are_cut_as_the_protocol_says(kind: type) -> None:
+    truth = np.full((375, 1242), 60.0)
+    truth[23:, 13:1229] = 20.0
+    source = kind([sample_of(truth, domain="outdoor")], {"outdoor": OUTDOOR})
+    np.testing.assert_allclose(source.depth["outdoor"], 20.0)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_truth_of_the_photo_is_not_looked_at(kind: type) -> None:
+    source = kind([skewed(seed=0)], PROTOCOLS)
+    sample = photo((6, 8))
+    other = dataclasses.replace(sample, target=sample.target + 1)
+    np.testing.assert_array_equal(source.predict(sample, EVERYWHERE).depth, source.predict(other, EVERYWHERE).depth)
