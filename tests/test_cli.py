@@ -126,5 +126,5 @@ def test_module_is_the_command(tmp_path: Path) -> None:
     )
     assert process.returncode == 2
     assert process.stdout == ""
-    assert "nowhere.safetensors" in process.stderr
+    assert "nowhere.csv" in process.stderr
     assert "Traceback" not in process.stderr

@@ -16,9 +16,13 @@ from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import Protocol, find_protocol, protocol_of
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from zoedepth.data.pairs import PairDataset
+    from zoedepth.evaluation.evaluate import Processes
     from zoedepth.evaluation.predictions import Source
-    from zoedepth.evaluation.summary import Summary
+    from zoedepth.evaluation.scoring import Score
+    from zoedepth.evaluation.summary import Summary, Table
 
 
 def evaluate(
@@ -96,7 +100,7 @@ def evaluate(
     protocols = _protocols(sets, protocol, changes)
     sources = _sources(model, predictions, trivial, protocols, compat=compat, device=device)
     summaries: list[Summary] = []
-    pictured = {}
+    pictured: dict[str, list[tuple[str, Path]]] = {}
     failed = False
     for name, dataset in sets.items():
         for label, (source, about) in sources.items():
@@ -227,13 +231,13 @@ def _fingerprint(path: Path) -> str:
     return digest.hexdigest()[:16]
 
 
-def _track(console, indices: list[int], description: str) -> Iterator[int]:
+def _track(console: "Console", indices: list[int], description: str) -> Iterator[int]:
     from rich.progress import track
 
     return iter(track(indices, description=description, console=console, disable=not console.is_terminal))
 
 
-def _join(processes, out: Path | None):
+def _join(processes: "Processes", out: Path | None) -> "Processes":
     """Meet the other processes of torchrun, if there are any."""
     if processes.count > 1:
         if out is None:
@@ -245,7 +249,7 @@ def _join(processes, out: Path | None):
     return processes
 
 
-def _meet(scores, folder: Path | None, processes):
+def _meet(scores: "dict[int, Score]", folder: Path | None, processes: "Processes") -> "dict[int, Score]":
     """The scores of all processes, in the order of the data set."""
     if processes.count == 1 or folder is None:
         return scores
@@ -257,7 +261,14 @@ def _meet(scores, folder: Path | None, processes):
     return read_scores(folder)
 
 
-def _examples(source, dataset, scores, protocols, label: str, folder: Path) -> list[tuple[str, Path]]:
+def _examples(
+    source: "Source",
+    dataset: "PairDataset",
+    scores: "dict[int, Score]",
+    protocols: Mapping[str, Protocol],
+    label: str,
+    folder: Path,
+) -> list[tuple[str, Path]]:
     from zoedepth.evaluation.report import examples, write_picture
 
     picture = examples(source, dataset, scores, protocols)
@@ -267,7 +278,14 @@ def _examples(source, dataset, scores, protocols, label: str, folder: Path) -> l
     return [(f"{label}: best, median and worst image by REL", folder / "examples.png")]
 
 
-def _write_report(out: Path, summaries: "list[Summary]", found, pictured, *, pictures: bool) -> None:
+def _write_report(
+    out: Path,
+    summaries: "list[Summary]",
+    found: "list[Table]",
+    pictured: dict[str, list[tuple[str, Path]]],
+    *,
+    pictures: bool,
+) -> None:
     from zoedepth.evaluation.report import error_by_depth, write_report
 
     if pictures:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 
@@ -121,7 +122,7 @@ def _score_one(source: Source, sample: Sample, protocols: Mapping[str, Protocol]
     return score(source.predict(shown, protocol), shown, protocol)
 
 
-def _append_to(path: Path, header: dict):  # a text file
+def _append_to(path: Path, header: dict) -> TextIO:
     written = path.read_bytes() if path.exists() else b""
     if b"\n" not in written:  # new, or killed at its first line
         file = path.open("w", encoding="utf-8")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 from typing import Protocol as Interface
 
 import numpy as np
@@ -136,7 +136,10 @@ class MeanMapSource:
         return Prediction(F.interpolate(mean, size, mode="bilinear", align_corners=True)[0, 0].numpy())
 
 
-def _of_domain(values: dict, sample: Sample):  # what the dict holds
+Value = TypeVar("Value")
+
+
+def _of_domain(values: dict[str, Value], sample: Sample) -> Value:
     if sample.domain not in values:
         raise InputError(f"the training data has no domain {sample.domain!r}, only {sorted(values)}")
     return values[sample.domain]

@@ -106,7 +106,7 @@ def examples(
         rel = score.sums.metrics().rel if score.sums is not None else float("nan")
         depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
         error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
-        true_depth = colorize(_spread(np.where(shown.mask[0].numpy(), truth, 0), size), vmin=vmin, vmax=vmax)
+        true_depth = colorize(_spread(np.where(shown.mask[0].numpy(), truth, np.nan), size), vmin=vmin, vmax=vmax)
         predicted = colorize(fit(depth, size), vmin=vmin, vmax=vmax)
         caption = f"{label}: REL {rel:.3f}" if label else f"REL {rel:.3f}"
         four = [
@@ -175,11 +175,12 @@ def _colored_error(error: np.ndarray) -> ImageArray:
 
 def _spread(x: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Values at another size without inventing any between them; single points of sparse truth grow to be seen."""
-    valid = np.isfinite(x) & (x != 0)
+    valid = np.isfinite(x)
     if valid.mean() < 0.3:  # sparse lidar
         for _ in range(2):
             for shift, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
                 moved, there = np.roll(x, shift, axis), np.roll(valid, shift, axis)
+                np.moveaxis(there, axis, 0)[0 if shift == 1 else -1] = False  # not round the picture
                 x = np.where(valid, x, np.where(there, moved, x))
                 valid = valid | there
     rows = np.arange(size[0]) * x.shape[0] // size[0]
