@@ -9,7 +9,7 @@ from zoedepth.commands.demo import motorcycle_depth
 from zoedepth.metrics import compute_metrics
 from zoedepth.predict import DepthMap
 from zoedepth.presets import PRESETS
-from zoedepth.pretrained import SHIPPED
+from zoedepth.releases import RELEASES
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def motorcycle() -> DepthMap:
 
 
 def test_is_small_and_has_the_preset_s_architecture() -> None:
-    assert SHIPPED["zoed-lite"].stat().st_size <= 16e6
+    assert RELEASES["zoed-lite"].path.stat().st_size <= 16e6
     assert load_model("zoed-lite").config == PRESETS["zoed-lite"]
 
 

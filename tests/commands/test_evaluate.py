@@ -91,6 +91,7 @@ class TestProtocol:
             (("--protocol", "nyu"), PROTOCOLS["nyu"]),
             (("--protocol", "rooms=ibims"), PROTOCOLS["ibims"]),
             (("--protocol", "plain", "rooms=ibims", "--pad"), replace(PROTOCOLS["ibims"], pad=True)),
+            (("--protocol", "rooms=ibims", "plain"), PROTOCOLS["ibims"]),
         ],
     )
     def test_is_chosen_and_overridden(self, model: Path, tmp_path: Path, capsys, arguments, protocol: Protocol):
@@ -119,6 +120,12 @@ class TestProtocol:
         path = write_pairs(tmp_path, n=1, split="test")
         assert "'nuy'" in error(capsys, "--model", model, "--data", path, "--protocol", "nuy")
         assert "attic" in error(capsys, "--model", model, "--data", path, "--protocol", "attic=nyu")
+
+    def test_of_a_data_set_is_its_own(self, model: Path, tmp_path: Path, capsys):
+        paths = [write_pairs(tmp_path / name, n=1, split="test") for name in ("a", "b", "c")]
+        records = run(capsys, "--model", model, "--data", *paths, "--protocol", "b=nyu", "plain")
+        labels = [PLAIN.label, PROTOCOLS["nyu"].label, PLAIN.label]
+        assert [record["protocols"]["indoor"] for record in records] == labels
 
 
 class TestSources:
@@ -162,13 +169,27 @@ class TestSources:
         assert (constant["source"], mean["source"]) == ("best constant", "mean depth map")
         assert 0 < mean["rel"] < constant["rel"]
 
+    def test_disparity_says_nothing_without_looking(self, tmp_path: Path, capsys):
+        train = write_pairs(tmp_path / "rooms", n=2, split="train")
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        expected = run(capsys, "--trivial", train, "--data", path)
+        write_disparity_pairs(tmp_path / "stills", n=1)
+        for kind in ("image", "disparity"):
+            (tmp_path / "stills" / kind).rename(tmp_path / "rooms" / f"still-{kind}")
+        header, *lines = train.read_text().splitlines()
+        more = "still-image/still_000.jpg,,,indoor,still-disparity/still_000.png"
+        train.write_text("\n".join([f"{header},disparity", *(f"{line}," for line in lines), more]) + "\n")
+        assert run(capsys, "--trivial", train, "--data", path) == expected
+
     def test_relative_model_needs_alignment(self, tiny_model: ZoeDepth, tmp_path: Path, capsys):
         bare = ZoeDepth(replace(tiny_model.config, domains=()))
         save_model(bare, tmp_path / "bare.safetensors")
         path = write_pairs(tmp_path, n=1, split="test")
         options = ["--model", str(tmp_path / "bare.safetensors"), "--data", str(path)]
         assert main(["evaluate", "--json", *options]) == 1
-        assert "--align disparity" in capsys.readouterr().err.replace("\n", " ")
+        output = capsys.readouterr().err
+        assert "image 0: relative depth has no metres: score it with --align disparity" in output
+        assert "known pixel" not in output
         (record,) = run(capsys, *options, "--align", "disparity")
         assert np.isfinite(record["rel"])
 
@@ -236,6 +257,41 @@ class TestOutput:
         first = run(capsys, *options)
         assert run(capsys, *options) == first
         assert "give another --out" in error(capsys, *options, "--crop", "none")
+        path.write_text(path.read_text().replace(",1000,", ",500,"))
+        assert "give another --out" in error(capsys, *options)
+
+    def test_failing_photo_is_left_out_of_the_report_and_its_pictures(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=3, split="test")
+        (tmp_path / "rooms/depth/test_000.png").write_bytes(b"")
+        options = ["--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out"]
+        (record,) = run(capsys, *options, code=1)
+        assert (record["images"], record["failed"]) == (2, 1)
+        assert "1 that failed" in (tmp_path / "out/report.md").read_text()
+        assert (tmp_path / "out/tiny/rooms/examples.png").is_file()
+
+    def test_report_of_nothing_but_failures_has_no_numbers(self, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        (tmp_path / "theirs").mkdir()
+        options = ["--predictions", tmp_path / "theirs", "--data", path, "--out", tmp_path / "out"]
+        (record,) = run(capsys, *options, code=1)
+        assert (record["images"], record["failed"], "rel" in record) == (0, 1, False)
+        assert "not run" in (tmp_path / "out/report.md").read_text()
+
+    def test_missing_matplotlib_is_said_before_anything_is_scored(self, model, tmp_path: Path, capsys, monkeypatch):
+        monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        options = ["--model", model, "--data", path, "--out", tmp_path / "out"]
+        assert "zoedepth[report]" in error(capsys, *options)
+        assert not (tmp_path / "out").exists()
+        run(capsys, *options, "--no-pictures")
+        assert (tmp_path / "out/report.md").is_file()
+
+    def test_names_are_printed_as_they_are(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        assert main(["evaluate", "--model", f"[bold]={model}", "--data", f"[/red]={path}"]) == 0
+        output = capsys.readouterr().out
+        assert "[bold]" in output
+        assert "[/red]: protocol" in output
 
     def test_the_papers_numbers_beside_ours(self, model: Path, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
@@ -244,21 +300,24 @@ class TestOutput:
         assert "ZoeD-M12-N (paper)" in output
         assert "0.270" in output
 
-    def test_processes_of_torchrun_give_the_same_to_the_last_bit(self, model: Path, tmp_path: Path):
-        path = write_pairs(tmp_path / "rooms", n=3, split="test")
-        results = []
-        for count in (1, 2):
-            out = tmp_path / f"out{count}"
-            command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(count)]
-            command += ["-m", "zoedepth", "evaluate", "--model", f"tiny={model}", "--data", str(path)]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-            done = subprocess.run(
-                [*command, "--out", str(out), "--no-pictures"], capture_output=True, text=True, env=environment
-            )
-            assert done.returncode == 0, done.stderr[-2000:]
-            results.append(json.loads((out / "report.json").read_text())["results"])
-        assert len(list((tmp_path / "out2" / "tiny" / "rooms").glob("scores-*.jsonl"))) == 2
-        assert results[0] == results[1]
+    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, model: Path, tmp_path: Path):
+        """Failures of the second process, too, which does not end the first before it has written its report."""
+        path = write_pairs(tmp_path / "rooms", n=5, split="test")
+        (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
+        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--no-pictures", "--out"]
+        assert main([*arguments, str(tmp_path / "one")]) == 1
+        torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+        done = subprocess.run(
+            [*torchrun, "-m", "zoedepth", *arguments, str(tmp_path / "two")],
+            capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+        assert done.returncode == 1
+        assert "failed: rooms, image 1" in done.stderr
+        one, two = (json.loads((tmp_path / name / "report.json").read_text())["results"] for name in ("one", "two"))
+        assert one == two
+        assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)
+        counts = [len(file.read_text().splitlines()) for file in sorted((tmp_path / "two/tiny/rooms").iterdir())]
+        assert counts == [1 + 3, 1 + 1]
 
 
 class TestErrors:
@@ -276,6 +335,11 @@ class TestErrors:
         small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")
         assert main(["evaluate", "--model", str(model), "--data", str(small)]) == 1
         assert "no image has a known pixel" in capsys.readouterr().err
+
+    def test_several_processes_must_have_a_folder_to_meet_in(self, model: Path, tmp_path: Path, capsys, monkeypatch):
+        monkeypatch.setenv("WORLD_SIZE", "2")
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        assert "--out" in error(capsys, "--model", model, "--data", path)
 
     def test_data_must_be_given(self, model: Path, capsys):
         with pytest.raises(SystemExit) as stopped:

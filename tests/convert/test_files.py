@@ -619,7 +619,7 @@ def put(values: Any, place: tuple, new: Any, *, drop: bool) -> None:
         values[last] = new
 
 
-@settings(max_examples=90, **FUZZ)
+@settings(max_examples=50, **FUZZ)
 @given(source=st.sampled_from(["ours", "config.json", "preprocessor_config.json"]), data=st.data())
 def test_fuzzed_config(valid: Valid, source: str, data: st.DataObject):
     path, file = valid.copy("ours" if source == "ours" else "huggingface")

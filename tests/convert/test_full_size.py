@@ -3,11 +3,7 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-
-import pytest
-from filelock import FileLock
 
 from zoedepth.cli import main
 from zoedepth.presets import PRESETS
@@ -27,16 +23,14 @@ def run(step: str, *arguments: object) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-@pytest.fixture
-def alone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """One such test at a time, in all processes: each needs some gigabytes."""
-    with FileLock(tmp_path_factory.getbasetemp().parent / "full_size.lock"):
-        yield
+def test_released_checkpoints_load_predict_and_survive_all_layouts(tmp_path: Path):
+    """One after the other, in one process of the tests: each needs some gigabytes."""
+    for kind in ("n", "k", "nk"):
+        check(kind, tmp_path / kind)
 
 
-@pytest.mark.usefixtures("alone")
-@pytest.mark.parametrize("kind", ["n", "k", "nk"])
-def test_released_checkpoint_loads_predicts_and_survives_all_layouts(kind: str, tmp_path: Path):
+def check(kind: str, tmp_path: Path) -> None:
+    tmp_path.mkdir()
     original, preset = tmp_path / f"ZoeD_M12_{kind.upper()}.pt", PRESETS[f"zoed-m12-{kind}"]
     ours, theirs, back = tmp_path / "ours", tmp_path / "theirs", tmp_path / "back.pt"
     try:

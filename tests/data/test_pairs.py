@@ -185,6 +185,36 @@ def test_missing_files_are_counted_and_the_first_is_named_before_anything_is_rea
         PairDataset(tmp_path)
 
 
+def test_photo_without_depth_is_an_error_for_who_wants_to_learn_from_it(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, n=3)
+    path.write_text(path.read_text().replace("depth/train_001.png", "None"))
+    with pytest.raises(InputError, match=r"1 photos without depth.*train_001\.jpg"):
+        PairDataset(path)
+
+
+def test_photo_without_depth_is_a_sample_without_truth_where_allowed(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, n=2, size=(20, 30))
+    path.write_text(path.read_text().replace("depth/train_001.png", "None"))
+    dataset = PairDataset(path, allow_missing=True)
+
+    sample = dataset[1]
+
+    assert [pair.target is None for pair in dataset.pairs] == [False, True]
+    assert dataset[0].mask.any()
+    assert sample.target.shape == sample.mask.shape == (1, 20, 30)
+    assert not sample.target.any()
+    assert not sample.mask.any()
+    assert (sample.kind, sample.domain, sample.name) == ("depth", "indoor", str(Path("image/train_001.jpg")))
+
+
+def test_photo_without_depth_must_be_there_all_the_same(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, n=2)
+    path.write_text(path.read_text().replace("depth/train_001.png", "None"))
+    (tmp_path / "image" / "train_001.jpg").unlink()
+    with pytest.raises(InputError, match=r"1 files.*train_001\.jpg"):
+        PairDataset(path, allow_missing=True)
+
+
 def test_photo_and_depth_of_different_size_are_an_error_that_names_both(tmp_path: Path) -> None:
     path = write_pair(tmp_path, np.ones((4, 6), np.uint16), depth="target.png", depth_scale=1000, domain="indoor")
     Image.fromarray(np.ones((6, 4), np.uint16)).save(tmp_path / "target.png")
