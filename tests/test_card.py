@@ -149,3 +149,11 @@ def check_awkward(name: str) -> None:
 def test_awkward_domain_stays_in_its_cell():
     _, text = card(config=replace(NK, domains=(Domain("a|b\nc", 0.5, 2.5), INDOOR)))
     assert "| a\\|b c | 0.5 m | 2.5 m |" in text
+
+
+def test_model_without_metric_heads_promises_no_metres():
+    card = model_card(PRESETS["dpt-beit-large-384"], name="midas", layout="zoedepth")
+    assert "Relative depth, inverse" in card
+    assert "predictor.relative(" in card
+    assert "metres" not in card
+    assert "| domain |" not in card

@@ -337,6 +337,7 @@ def test_values_out_of_range_are_an_error_that_names_them(kind: type, changes: d
         ({"domains": (zoedepth.config.INDOOR, zoedepth.config.INDOOR)}, "different names"),
         ({"size": (64, 48)}, "multiples of 32"),
         ({"size": (0, 64)}, "multiples of 32"),
+        ({"size": (320_000, 320_000)}, "multiples of 32 up to 8192"),
         ({"encoder": SWIN, "size": (64, 96)}, r"\(64, 64\), the only one swinv2_tiny_window16_256 takes"),
     ],
 )

@@ -55,8 +55,8 @@ def model_card(
     front = _front_matter(name, layout, licence, metrics or {})
     sections = [
         f"# {name}",
-        "Depth in metres, along the optical axis, from a single RGB photo: a model of "
-        "[ZoeDepth](https://arxiv.org/abs/2302.12288) (Bhat et al. 2023).",
+        f"{_what(config)}, from a single RGB photo: a model of [ZoeDepth](https://arxiv.org/abs/2302.12288) "
+        "(Bhat et al. 2023).",
         _architecture(config),
         f"## Use\n\n{_use(config, name, layout)}",
         f"## Measured\n\n{_table(metrics) if metrics else 'Not run.'}",
@@ -102,6 +102,12 @@ def _result(data: str, metrics: Metrics) -> dict[str, Any]:
     }
 
 
+def _what(config: ModelConfig) -> str:
+    if config.domains:
+        return "Depth in metres, along the optical axis"
+    return "Relative depth, inverse and up to an unknown scale and shift"
+
+
 def _architecture(config: ModelConfig) -> str:
     height, width = config.size
     size = (
@@ -110,6 +116,10 @@ def _architecture(config: ModelConfig) -> str:
     lines = [
         f"- Encoder: `{config.encoder.name}` (timm).",
         f"- Input: RGB, trained at {height} x {width} pixels (height x width): {size}.",
+    ]
+    if not config.domains:
+        return "\n".join([*lines, "- Heads: none. Metric heads can be trained on it: `zoedepth train ... --start`."])
+    lines += [
         f"- Heads: {len(config.domains)}, {_routing(config)}.",
         "",
         "| domain | nearest depth | farthest depth |",
@@ -131,6 +141,12 @@ def _use(config: ModelConfig, name: str, layout: str) -> str:
     domain = ""
     if len(config.domains) > 1 and config.router.kind == "labeled":
         domain = f", domain={_quoted(config.domains[0].name)}"
+    if not config.domains:
+        return _python(
+            "from zoedepth import Predictor, load_model",
+            f"predictor = Predictor(load_model({_quoted(name)}))",
+            'relative = predictor.relative("photo.jpg")  # float32 (height, width), near is large',
+        )
     ours = _python(
         "from zoedepth import Predictor, load_model",
         f"predictor = Predictor(load_model({_quoted(name)}))",

@@ -155,6 +155,9 @@ class Domain:
                  (self.min_depth, self.max_depth))  # fmt: skip
 
 
+MAX_SIDE = 8192
+"""Of a network input, pixels: a config from elsewhere may not ask for any amount of memory."""
+
 INDOOR = Domain("indoor", 1e-3, 10.0)
 OUTDOOR = Domain("outdoor", 1e-3, 80.0)
 
@@ -182,8 +185,8 @@ class ModelConfig:
     def __post_init__(self) -> None:
         names = [domain.name for domain in self.domains]
         _require(len(set(names)) == len(names), "domains", "domains of different names", names)
-        _require(all(side > 0 and side % self.multiple == 0 for side in self.size), "size",
-                 f"(height, width), multiples of {self.multiple}", self.size)  # fmt: skip
+        _require(all(0 < side <= MAX_SIDE and side % self.multiple == 0 for side in self.size), "size",
+                 f"(height, width), multiples of {self.multiple} up to {MAX_SIDE}", self.size)  # fmt: skip
         if self.encoder.family == "swin":
             _require(self.size == self.encoder.size, "size",
                      f"{self.encoder.size}, the only one {self.encoder.name} takes", self.size)  # fmt: skip
