@@ -304,7 +304,7 @@ class TestOutput:
         """Failures of the second process, too, which does not end the first before it has written its report."""
         path = write_pairs(tmp_path / "rooms", n=5, split="test")
         (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
-        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--no-pictures", "--out"]
+        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--out"]
         assert main([*arguments, str(tmp_path / "one")]) == 1
         torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
         done = subprocess.run(

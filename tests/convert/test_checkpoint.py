@@ -149,14 +149,16 @@ def test_our_weights_without_a_config_are_refused(tmp_path: Path, config: str | 
 
 @KINDS
 @pytest.mark.parametrize("config", [None, '{"_name_or_path": "x"}'], ids=["none", "of-something-else"])
-def test_config_of_transformers_is_told_from_the_shapes_where_there_is_none(
+def test_config_of_transformers_is_told_from_the_shapes_of_a_file_alone_but_a_folder_must_have_it(
     tmp_path: Path, kind: str, config: str | None
 ):
     folder = write(tmp_path, "huggingface", tiny(kind))
     (folder / "config.json").unlink()
     if config:
         (folder / "config.json").write_text(config)
-    assert read_checkpoint(folder).config == original.config_of(tiny(kind).weights)
+    assert read_checkpoint(folder / "model.safetensors").config == original.config_of(tiny(kind).weights)
+    with pytest.raises(InputError, match=r"the folder has no config.json"):
+        read_checkpoint(folder)
 
 
 def test_size_of_photos_is_that_of_the_preprocessor(tmp_path: Path):

@@ -53,6 +53,11 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         raise InputError(f"there is no file {file}")
     weights, texts = read_tensors(file)
     try:
+        if path.is_dir() and huggingface.layout_of(weights) and not _json_beside(folder, CONFIG, "model_type"):
+            raise InputError(
+                f"the folder has no {CONFIG} of transformers, which says the kind of bins and their range: put it "
+                "back, or give the file of weights alone if it is one of the three that were published"
+            )
         return _recognise(weights, texts, folder)
     except InputError as error:
         raise InputError(f"{file}: {str(error)[:2000]}") from error  # it may quote the file, of any length
