@@ -51,9 +51,10 @@ def check(kind: str, tmp_path: Path) -> None:
         assert main(["convert", str(original), str(ours), "--to", "zoedepth"]) == 0
         assert main(["convert", str(ours), str(theirs), "--to", "huggingface"]) == 0
         assert main(["convert", str(theirs), str(back), "--to", "original"]) == 0
-        there = run("transformers", theirs)
-        assert there["report"] == {}
-        assert there["relative_difference"] < 1e-5
+        if kind == "nk":  # one head: test_huggingface.py
+            there = run("transformers", theirs)
+            assert there["report"] == {}
+            assert there["relative_difference"] < 1e-5
 
         differences = run("compare", original, back)
         assert differences["missing"] == []
