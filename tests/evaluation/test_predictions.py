@@ -293,7 +293,7 @@ def test_training_data_without_known_depth_is_an_error_that_names_the_domain(kin
 
 @pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
 def test_training_photos_are_cut_as_the_protocol_says(kind: type) -> None:
-    truth = np.full((375, 1242), 60.0)
+    truth = np.full((375, 1242), 1.0)
     truth[23:, 13:1229] = 20.0
     source = kind([sample_of(truth, domain="outdoor")], {"outdoor": OUTDOOR})
     np.testing.assert_allclose(source.depth["outdoor"], 20.0)

@@ -87,6 +87,13 @@ def test_domains_are_apart_where_there_are_several() -> None:
     assert summary_of(*rooms).domains == {}
 
 
+def test_domains_have_the_kind_of_mean_of_all() -> None:
+    pooled = {domain: replace(protocol, mean="pixels") for domain, protocol in PROTOCOLS.items()}
+    scores = [score_of(0.1, n_pixels=300), score_of(0.5, n_pixels=100), score_of(0.5, domain="outdoor")]
+    assert summary_of(*scores).domains["indoor"].rel == pytest.approx(0.3)
+    assert summary_of(*scores, protocols=pooled).domains["indoor"].rel == pytest.approx(0.2)
+
+
 def test_router_is_the_share_of_images_with_a_choice_that_took_their_own_head() -> None:
     right, wrong = score_of(0.1, routed="indoor"), score_of(0.1, routed="outdoor")
     no_choice, not_scored = score_of(0.1), score_of(None, routed="indoor")

@@ -169,7 +169,7 @@ def _protocols(
     for name, dataset in sets.items():
         chosen = given.get(name) or given.get("")
         used = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
-        found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}  # type: ignore[arg-type]
+        found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}  # type: ignore[arg-type]  # a dict of fields
     return found
 
 
