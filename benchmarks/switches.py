@@ -2,6 +2,8 @@
 
     python -m benchmarks.switches --data nyu=nyu/test.csv kitti=kitti/test.csv [--model zoed-lite] [--processes 2]
 
+``--every 6`` takes every sixth image of each set only.
+
 Prints one Markdown table a metric: a row a switch, a column a data set. Predictions that differ only in how they are
 scored are made once.
 """
@@ -37,9 +39,9 @@ SWITCHES: dict[str, Mapping[str, object]] = {
 PREDICTED_ANEW = {"flip_average", "pad", "resize"}
 
 
-def main(*, data: tuple[str, ...], model: str = "zoed-lite", processes: int = 2) -> None:
+def main(*, data: tuple[str, ...], model: str = "zoed-lite", processes: int = 2, every: int = 1) -> None:
     """Score every switch on every data set."""
-    columns = {name: _column(path, model, processes) for name, path in named_paths(data).items()}
+    columns = {name: _column(path, model, processes, every) for name, path in named_paths(data).items()}
     for metric in ("rel", "rmse", "delta1"):
         print(f"\n| {metric} | {' | '.join(columns)} |\n|---|{'---:|' * len(columns)}")
         for switch in SWITCHES:
@@ -47,8 +49,8 @@ def main(*, data: tuple[str, ...], model: str = "zoed-lite", processes: int = 2)
             print(f"| {switch} | {' | '.join(cells)} |", flush=True)
 
 
-def _column(path: Path, model: str, processes: int) -> dict:
-    indices = range(len(PairDataset(path, split="test")))
+def _column(path: Path, model: str, processes: int, every: int) -> dict:
+    indices = range(0, len(PairDataset(path, split="test")), every)
     with ProcessPoolExecutor(
         processes, mp_context=get_context("spawn"), initializer=_start, initargs=(path, model)
     ) as pool:
