@@ -316,7 +316,7 @@ class TestOutput:
         one, two = (json.loads((tmp_path / name / "report.json").read_text())["results"] for name in ("one", "two"))
         assert one == two
         assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)
-        counts = [len(file.read_text().splitlines()) for file in sorted((tmp_path / "two/tiny/rooms").iterdir())]
+        counts = [len(file.read_text().splitlines()) for file in sorted((tmp_path / "two/tiny/rooms").glob("*.jsonl"))]
         assert counts == [1 + 3, 1 + 1]
 
 
