@@ -301,10 +301,10 @@ class TestOutput:
         assert "0.270" in output
 
     def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, model: Path, tmp_path: Path):
-        """Failures of the second process, too, which does not end the first before it has written its report."""
+        """Failures of the second process, too."""
         path = write_pairs(tmp_path / "rooms", n=5, split="test")
         (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
-        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--out"]
+        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--no-pictures", "--out"]
         assert main([*arguments, str(tmp_path / "one")]) == 1
         torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
         done = subprocess.run(
@@ -318,6 +318,21 @@ class TestOutput:
         assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)
         counts = [len(file.read_text().splitlines()) for file in sorted((tmp_path / "two/tiny/rooms").glob("*.jsonl"))]
         assert counts == [1 + 3, 1 + 1]
+
+    def test_second_process_leaves_it_to_the_first_to_say_how_it_went(self, model, tmp_path: Path, capsys, monkeypatch):
+        """torchrun ends all processes when one fails, and the first has yet to write the report."""
+        import torch.distributed as distributed
+
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
+        monkeypatch.setenv("RANK", "1")
+        monkeypatch.setenv("WORLD_SIZE", "2")
+        distributed.init_process_group("gloo", store=distributed.HashStore(), rank=0, world_size=1)
+        try:
+            assert run(capsys, "--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out") == []
+        finally:
+            distributed.destroy_process_group()
+        assert [file.name for file in (tmp_path / "out").iterdir()] == ["tiny"]
 
 
 class TestErrors:

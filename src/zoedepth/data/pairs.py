@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 from torch.utils.data import Dataset
 
+from zoedepth.data.readers import read_png
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.images import read_image
@@ -83,7 +83,7 @@ class PairDataset(Dataset[Sample]):
         """
         pair = self.pairs[index]
         image = read_image(pair.image)
-        stored = np.zeros(image.shape[:2], np.uint16) if pair.target is None else _read_png(pair.target)
+        stored = np.zeros(image.shape[:2], np.uint16) if pair.target is None else read_png(pair.target)
         if stored.shape != image.shape[:2]:
             raise InputError(f"{pair.image} is {image.shape[:2]} and {pair.target} is {stored.shape}: sizes must agree")
         target = torch.from_numpy(stored.astype(np.float32) / pair.scale)[None]
@@ -128,15 +128,3 @@ def _parse(row: dict[str, str], path: Path, line: int) -> Pair:
             raise InputError(f"{path}, line {line}: {name!r} must be a path inside the folder of the CSV file")
     target = None if bare else path.parent / row[kind]
     return Pair(path.parent / row["image"], target, kind, scale, row.get("domain") or "")
-
-
-def _read_png(path: Path) -> np.ndarray:
-    """The stored values of a single-channel 8- or 16-bit PNG, (height, width)."""
-    try:
-        with Image.open(path, formats=["PNG"]) as picture:
-            mode, values = picture.mode, np.asarray(picture)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"{path} is not a readable PNG ({error})") from error
-    if values.ndim != 2 or mode in ("1", "P"):
-        raise InputError(f"{path} must be a PNG of one channel of 8 or 16 bits; it is of mode {mode!r}")
-    return values

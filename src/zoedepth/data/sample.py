@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from zoedepth.camera import Intrinsics
 from zoedepth.errors import InputError
 
 Target = Literal["depth", "disparity"]
@@ -29,6 +30,8 @@ class Sample:
     """Scene type: "indoor", "outdoor" or your own."""
     name: str
     """The image's path as the data set lists it."""
+    camera: Intrinsics | None = None
+    """The camera of the photo at its present size, where it is known."""
 
 
 @runtime_checkable
