@@ -97,6 +97,7 @@ CHANGES: dict[type, dict[str, tuple[Any, dict[type, dict[str, Any]]]]] = {
         "size": ((96, 64), {}),
         "antialias": (True, {}),
         "resize": ("squeeze", {}),
+        "pad": (False, {}),
     },
 }
 

@@ -35,6 +35,7 @@ class Brightness(ZoeDepth):
             multiple=32,
             keep_aspect_ratio=True,
             antialias=antialias,
+            pad=True,
             domains=(INDOOR, OUTDOOR),
             router=RouterConfig(),
         )

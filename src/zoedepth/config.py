@@ -181,6 +181,9 @@ class ModelConfig:
     resize: Literal["keep-aspect", "squeeze"] = "keep-aspect"
     """keep-aspect: photos keep their proportions, up to rounding. squeeze: they become exactly ``size`` (the released
     code's "eval" and "train" modes; Swin encoders can do no other)."""
+    pad: bool = True
+    """Borders of photos are reflected outwards before the network, and cut off after, unless the caller says otherwise
+    (released ``infer``). The photo then fills less of the input, which is right for a model trained or used to it."""
 
     def __post_init__(self) -> None:
         names = [domain.name for domain in self.domains]

@@ -88,7 +88,7 @@ class DepthMap:
 
 
 class Predictor:
-    """Depth maps of photos of any size, as ZoeDepth was released: pad, resize, mirror average, resize back.
+    """Depth maps of photos of any size, as ZoeDepth was released: (pad,) resize, mirror average, resize back.
 
     It keeps no state between calls, so threads may share one. The model is not changed: on another device a copy is
     used.
@@ -97,7 +97,8 @@ class Predictor:
         model: in evaluation mode.
         flip_average: predict the mirrored photo too and average; twice the work, smoother edges, and the mirrored
             photo gives the mirrored depth.
-        pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts.
+        pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts;
+            None: what the model's config says.
         upsampling: of the depth to the photo's size: "bicubic" as the original's ``infer``, or "bilinear" (corners
             aligned) as its evaluation.
         resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``; None: what the model's config says.
@@ -113,7 +114,7 @@ class Predictor:
         model: ZoeDepth,
         *,
         flip_average: bool = True,
-        pad: bool = True,
+        pad: bool | None = None,
         upsampling: Literal["bicubic", "bilinear"] = "bicubic",
         resize: Literal["keep-aspect", "squeeze"] | None = None,
         device: str | torch.device | None = None,
@@ -126,7 +127,7 @@ class Predictor:
         self.device = model.device if device is None else _device(device)
         self.model = model if self.device == model.device else copy.deepcopy(model).to(self.device)
         self.flip_average = flip_average
-        self.pad = pad
+        self.pad = model.config.pad if pad is None else pad
         self.upsampling = upsampling
         self.keep_aspect_ratio = model.config.keep_aspect_ratio and resize != "squeeze"
         if resize == "keep-aspect" and model.config.encoder.family != "swin":

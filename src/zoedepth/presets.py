@@ -95,6 +95,7 @@ ZOED_LITE = ModelConfig(
     domains=(INDOOR, OUTDOOR),
     size=(256, 352),
     antialias=True,
+    pad=False,
 )
 """The paper's future "mobile architecture": the model shipped in the package."""
 

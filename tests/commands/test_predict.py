@@ -59,10 +59,10 @@ class TestOutputs:
 
     def test_options(self, tmp_path: Path, shipped_model: ZoeDepth) -> None:
         photo = write_photo(tmp_path / "photo.png", size=(30, 40))
-        options = ["--no-preview", "--no-flip", "--no-pad", "--domain", "outdoor", "--png-scale", "500"]
+        options = ["--no-preview", "--no-flip", "--pad", "yes", "--domain", "outdoor", "--png-scale", "500"]
         assert main(["predict", str(photo), "-o", str(tmp_path / "out"), *options]) == 0
         assert names(tmp_path / "out") == {"photo_depth.png", "photo.json"}
-        expected = Predictor(shipped_model, flip_average=False, pad=False)(photo, domain="outdoor")
+        expected = Predictor(shipped_model, flip_average=False, pad=True)(photo, domain="outdoor")
         np.testing.assert_allclose(read_depth(tmp_path / "out/photo_depth.png"), expected.depth, atol=1.1e-3)
         sidecar = json.loads((tmp_path / "out/photo.json").read_text())
         assert (sidecar["domain"], sidecar["png_scale"]) == ("outdoor", 500)

@@ -46,7 +46,7 @@ def predict(
     model: str = "zoed-lite",
     preview: bool = True,
     flip: bool = True,
-    pad: bool = True,
+    pad: Literal["model", "yes", "no"] = "model",
     domain: str | None = None,
     relative: bool = False,
     compat: tuple[str, ...] = (),
@@ -68,7 +68,8 @@ def predict(
         model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
         preview: write the colour preview, the photo beside its depth with a bar in metres.
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
-        pad: reflect the borders outwards before the network, against artefacts at the border.
+        pad: reflect the borders outwards before the network, against artefacts at the border: as the model was made
+            for (the released ones: yes; zoed-lite: no), or as you say.
         domain: scene type whose head to use, e.g. indoor; None leaves it to the model's router, photo by photo.
         relative: write relative depth (inverse, without a unit) instead: NAME_relative.png, the nearest 65535. Models
             without a metric head (MiDaS) give nothing else; of others it is a look inside that no loss kept right.
@@ -102,7 +103,8 @@ def predict(
     relative = relative or not network.config.domains
     if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
         raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")
-    predictor = Predictor(network, flip_average=flip, pad=pad, device=device, precision=precision)
+    padded = None if pad == "model" else pad == "yes"
+    predictor = Predictor(network, flip_average=flip, pad=padded, device=device, precision=precision)
     if domain is not None:
         predictor.domain_index(domain)
     writer = _Writer(model, preview=preview, png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
