@@ -10,7 +10,7 @@ import pytest
 
 from zoedepth.errors import InputError
 from zoedepth.evaluation.calibration import Calibration
-from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol
+from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol, find_protocol
 from zoedepth.evaluation.scoring import RANGES, Score
 from zoedepth.evaluation.summary import (
     COLUMNS,
@@ -219,10 +219,21 @@ def test_published_rows_are_below_and_take_no_part_in_the_best() -> None:
     rows = [row_of("a", metrics_of(rel=0.2)), row_of("b", metrics_of(rel=0.3))]
     table = results_table(rows, "nyu", published=published)
     assert table.rows[2:] == (
-        ("BTS (paper)", "", "0.110", "0.392", "-", "-", "-", "-", "-", ""),
-        ("ZoeD-M12-N† (paper)", "", *["-"] * 7, ""),
+        ("BTS (paper)", "not run", "0.110", "0.392", "-", "-", "-", "-", "-", ""),
+        ("ZoeD-M12-N† (paper)", "not run", *["-"] * 7, ""),
     )
     assert bold(table, "REL") == ["a"]
+    note = f"its own images under its protocol, nyu#{find_protocol('nyu').hash}; not run: by us, here."
+    assert table.note.endswith(note)
+    assert table.note in table.markdown()
+    assert "nyu\\#" in table.latex()
+    assert results_table(rows, "nyu").note == ""
+
+
+def test_published_model_that_is_scored_here_is_not_called_not_run():
+    published = [("ZoeD-M12-N", {"rel": Decimal("0.075")})]
+    table = results_table([row_of("zoed-m12-n", metrics_of(rel=0.2))], "nyu", published=published)
+    assert table.rows[1][:2] == ("ZoeD-M12-N (paper)", "")
 
 
 # ---------------------------------------------------------------------------------------------------- other tables

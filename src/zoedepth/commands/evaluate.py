@@ -144,6 +144,8 @@ def evaluate(
             for i, row in enumerate(table.rows):
                 shown.add_row(*(Text(cell, "bold" if (i, j) in table.best else "") for j, cell in enumerate(row)))
             wide.print(shown)
+            if table.note:
+                wide.print(Text(table.note))
     if out is not None:
         console.print(f"Report: {out / 'report.md'}, .tex, .json", soft_wrap=True)
     return 1 if failed else 0

@@ -66,7 +66,8 @@ def write_report(
             f"{s.n_failed} that failed; neither is in a mean."
             for s in skipped
         ]
-        parts += [f"![{caption}]({path.relative_to(folder).as_posix()})" for caption, path in pictures.get(data, ())]
+        for caption, path in pictures.get(data, ()):
+            parts += [f"*{caption}*", f"![{caption}]({path.relative_to(folder).as_posix()})"]
     _write(folder / "report.md", "\n\n".join(parts) + "\n")
 
 

@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import Any
 
 from zoedepth.errors import InputError
-from zoedepth.evaluation.protocols import Protocol
+from zoedepth.evaluation.protocols import PROTOCOLS, Protocol
 from zoedepth.evaluation.scoring import RANGES, Score
 from zoedepth.metrics import HEADINGS, HIGHER_IS_BETTER, Metrics, add_sums, mean_metrics, pooled_metrics
 
@@ -125,6 +125,8 @@ class Table:
     rows: tuple[tuple[str, ...], ...]
     best: frozenset[tuple[int, int]] = frozenset()
     """(row, column) of the best value of its group, set in bold."""
+    note: str = ""
+    """A sentence below."""
 
     def markdown(self) -> str:
         """GitHub's tables."""
@@ -134,7 +136,8 @@ class Table:
         ]
         lines = [self.header, ["---", *["---:"] * (len(self.header) - 1)], *body]
         text = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
-        return f"**{self.title}**\n\n{text}\n"
+        note = f"\n\n{self.note}" if self.note else ""
+        return f"**{self.title}**\n\n{text}{note}\n"
 
     def latex(self) -> str:
         """For booktabs."""
@@ -152,7 +155,7 @@ class Table:
             *(line + r" \\" for line in body),
             r"\bottomrule",
             r"\end{tabular}",
-            rf"\caption{{{_tex(self.title)}}}",
+            rf"\caption{{{_tex('. '.join(filter(None, (self.title, self.note))))}}}",
             r"\end{table}",
         ]
         return "\n".join(lines) + "\n"
@@ -183,7 +186,8 @@ def results_table(
         rows.append((f"{summary.source}{aligned}", str(summary.n_scored), *cells, router))
     for method, numbers in published:
         cells = ["-" if numbers.get(name) is None else str(numbers[name]) for name in COLUMNS]  # as printed
-        rows.append((f"{method} (paper)", "", *cells, ""))
+        run = any(summary.source.lower() == method.lower() for summary in summaries)
+        rows.append((f"{method} (paper)", "" if run else NOT_RUN, *cells, ""))
     best = set()
     comparable = [i for i, summary in enumerate(summaries) if values[i] is not None and summary.alignment == "none"]
     if len(comparable) > 1:
@@ -195,7 +199,11 @@ def results_table(
     kind = {summary.mean for summary in summaries}
     title = f"{data}: protocol {', '.join(labels)}; mean over {' and '.join(sorted(kind))}"
     header = ("source", "images", *(HEADINGS[name] for name in COLUMNS), "router")
-    return Table(title, header, tuple(rows), frozenset(best))
+    note = ""
+    if published:
+        theirs = f"{data}#{PROTOCOLS[data].hash}" if data in PROTOCOLS else "its own"
+        note = f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."
+    return Table(title, header, tuple(rows), frozenset(best), note)
 
 
 def extras_table(summaries: Sequence[Summary], data: str) -> Table:
