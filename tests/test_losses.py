@@ -9,16 +9,24 @@ from zoedepth.errors import InputError
 from zoedepth.losses import (
     domain_cross_entropy,
     gradient_error,
+    mean_counted,
     normalize_robust,
-    scale_and_shift_invariant,
     silog,
     trimmed_absolute_error,
+)
+from zoedepth.losses import (
+    scale_and_shift_invariant as losses_of_images,
 )
 
 
 def maps(*images: list[list[float]]) -> Tensor:
     """Images as (batch, 1, height, width)."""
     return torch.tensor(images)[:, None]
+
+
+def scale_and_shift_invariant(prediction: Tensor, target: Tensor, mask: Tensor, **options: float) -> Tensor:
+    """The mean of the images that count."""
+    return mean_counted(*losses_of_images(prediction, target, mask, **options))
 
 
 def random_maps(*, batch: int = 2, size: tuple[int, int] = (12, 16), seed: int = 0) -> tuple[Tensor, Tensor, Tensor]:
@@ -251,6 +259,41 @@ def test_image_with_few_known_pixels_is_left_out():
     assert scale_and_shift_invariant(prediction, target, mask).item() == pytest.approx(alone, rel=1e-6)
     both = scale_and_shift_invariant(prediction, target, mask, min_pixels=10).item()
     assert both != pytest.approx(alone, rel=1e-3)
+
+
+def test_relative_loss_takes_a_gradient_weight_for_each_image():
+    prediction, target, mask = random_maps()
+    losses, counted = losses_of_images(prediction, target, mask, gradient_weight=torch.tensor([0.5, 0.0]))
+    with_term, _ = losses_of_images(prediction, target, mask, gradient_weight=0.5)
+    without, _ = losses_of_images(prediction, target, mask, gradient_weight=0.0)
+    assert counted.tolist() == [True, True]
+    assert losses.tolist() == [with_term[0], without[1]]
+    assert with_term[1] > without[1]
+
+
+# --- several processes ------------------------------------------------------------------------------------------------
+
+
+def test_silog_of_two_processes_is_that_of_the_whole_batch():
+    """The sums of the other process stand in for it: total adds them, in the order they are asked for."""
+    prediction, target, mask = random_maps()
+    whole = silog(prediction, target, mask)
+    known = mask.flatten()
+    g = (torch.log(prediction + 1e-7) - torch.log(target + 1e-7)).flatten()
+    half = len(known) // 2
+    rest = g[half:][known[half:]]
+    others = [torch.tensor(float(len(rest))), rest.sum(), (rest - g[known].mean()).square().sum()]
+    found = silog(prediction[:1], target[:1], mask[:1], total=lambda x: x + others.pop(0))
+    assert found.item() == pytest.approx(whole.item(), rel=1e-5)
+    assert not others
+
+
+def test_mean_counted_divides_by_the_images_of_all_processes():
+    losses, counted = torch.tensor([1.0, 5.0, 9.0]), torch.tensor([True, False, True])
+    assert mean_counted(losses, counted).item() == 5
+    others = [torch.tensor(20.0), torch.tensor(3.0)]
+    assert mean_counted(losses, counted, total=lambda x: x + others.pop(0)).item() == 6
+    assert mean_counted(losses, torch.zeros(3, dtype=torch.bool)).item() == 0
 
 
 # --- promises of all of them ------------------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
 """Losses: functions of tensors, computed in float32 whatever the autocast.
 
 Predictions and targets are (batch, 1, height, width); masks are boolean and of the same shape, True where the target is
-known. Every loss is a scalar tensor, and 0 (with a gradient of 0) where nothing is known.
+known. Every loss is 0 (with a gradient of 0) where nothing is known.
 """
 
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -15,20 +16,38 @@ from zoedepth.errors import InputError
 
 Map = Float[Tensor, "batch 1 height width"]
 Mask = Bool[Tensor, "batch 1 height width"]
+Total = Callable[[Tensor], Tensor]
 
 
-def silog(prediction: Map, target: Map, mask: Mask, *, beta: float = 0.15, eps: float = 1e-7) -> Float[Tensor, ""]:
+def alone(x: Tensor) -> Tensor:
+    """The sum over all processes where there is one: the tensor itself."""
+    return x
+
+
+def silog(
+    prediction: Map, target: Map, mask: Mask, *, beta: float = 0.15, eps: float = 1e-7, total: Total = alone
+) -> Float[Tensor, ""]:
     """Scale-invariant log loss: 10 sqrt(var(g) + beta mean(g)^2), g = ln(prediction) - ln(target), both in metres.
 
     The statistics are those of all known pixels of the batch together; the variance is the unbiased one. (Released
     ``trainers/loss.py::SILogLoss``; beta = 0.15 is lambda = 0.85 of Eigen et al.)
+
+    Args:
+        prediction, target: metres.
+        mask: True where the target is known.
+        beta: weight of the squared mean.
+        eps: added before the logarithms.
+        total: sums a tensor over all processes, so that the batch is that of all of them.
     """
     known = mask.flatten()
-    if known.sum() < 2:
+    n = total(known.sum().float())
+    if n < 2:
         return 0 * prediction.float().sum()
     g = torch.log(prediction.float().flatten()[known] + eps) - torch.log(target.float().flatten()[known] + eps)
+    mean = total(g.sum()) / n
+    variance = total((g - mean).square().sum()) / (n - 1)
     # 1e-8: the square root has an infinite slope at 0.
-    return 10 * torch.sqrt(g.var() + beta * g.mean() ** 2 + 1e-8)
+    return 10 * torch.sqrt(variance + beta * mean**2 + 1e-8)
 
 
 def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:
@@ -42,11 +61,11 @@ def scale_and_shift_invariant(
     mask: Mask,
     *,
     trim: float = 0.2,
-    gradient_weight: float = 0.5,
+    gradient_weight: float | Float[Tensor, " batch"] = 0.5,
     n_scales: int = 4,
     min_pixels: int = 100,
-) -> Float[Tensor, ""]:
-    """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, mean over images.
+) -> tuple[Float[Tensor, " batch"], Bool[Tensor, " batch"]]:
+    """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, of each image.
 
     Both maps of an image are first freed of scale and shift by :func:`normalize_robust`. (Ranftl et al. 2020.)
 
@@ -55,20 +74,35 @@ def scale_and_shift_invariant(
         target: disparity, in any affine unit.
         mask: True where the target is known.
         trim: share of the largest residuals of each image that is ignored.
-        gradient_weight: weight of the gradient term (alpha in MiDaS).
+        gradient_weight: weight of the gradient term (alpha in MiDaS), one for all or one an image.
         n_scales: number of scales of the gradient term.
         min_pixels: images with fewer known pixels are left out.
+
+    Returns:
+        The loss of each image, 0 for those left out; and which are not.
     """
+    weights = torch.as_tensor(gradient_weight, device=prediction.device).expand(len(prediction)).tolist()
+    counted = mask.flatten(1).sum(1) >= min_pixels
     losses = []
-    for image, truth, known in zip(prediction.float(), target.float(), mask, strict=True):
-        if known.sum() < min_pixels:
+    for image, truth, known, counts, weight in zip(
+        prediction.float(), target.float(), mask, counted.tolist(), weights, strict=True
+    ):
+        if not counts:
+            losses.append(0 * image.sum())
             continue
         residual = normalize_robust(image, known) - normalize_robust(truth, known)
         loss = trimmed_absolute_error(residual[known], trim=trim)
-        if gradient_weight > 0:
-            loss = loss + gradient_weight * gradient_error(residual[0], known[0], n_scales=n_scales)
+        if weight > 0:
+            loss = loss + weight * gradient_error(residual[0], known[0], n_scales=n_scales)
         losses.append(loss)
-    return torch.stack(losses).mean() if losses else 0 * prediction.float().sum()
+    return torch.stack(losses), counted
+
+
+def mean_counted(
+    losses: Float[Tensor, " batch"], counted: Bool[Tensor, " batch"], *, total: Total = alone
+) -> Float[Tensor, ""]:
+    """Mean of the losses of the images that count, of all processes."""
+    return total((losses * counted).sum()) / total(counted.sum().float()).clamp(min=1)
 
 
 def normalize_robust(

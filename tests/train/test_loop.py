@@ -17,7 +17,9 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample
 from zoedepth.errors import InputError, TrainingError
 from zoedepth.train.config import SourceConfig, TrainConfig
-from zoedepth.train.loop import Log, Run, augmentations, freeze_batch_norm, load_sources
+from zoedepth.train.log import Log
+from zoedepth.train.loop import Run, freeze_batch_norm
+from zoedepth.train.sources import augmentations, load_sources
 
 MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]
@@ -39,10 +41,10 @@ def test_last_pairs_are_held_out(make_config: MakeConfig, data: Data) -> None:
     assert [sample.name for sample in validation["outdoor"]] == [str(Path("image/train_001.jpg"))]
 
 
-def test_disparity_is_held_out_but_has_no_metres_to_validate(make_config: MakeConfig, stills: Path) -> None:
+def test_disparity_is_held_out_too(make_config: MakeConfig, stills: Path) -> None:
     training, validation = load_sources(make_config("relative", holdout=1), {"relative": stills})
     assert [len(subset) for _, subset in training] == [2]
-    assert validation == {}
+    assert [sample.name for sample in validation["relative"]] == [str(Path("image/still_002.jpg"))]
 
 
 def test_unsuitable_data_is_an_error_that_says_why(
@@ -123,8 +125,8 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
         (dataclasses.replace(PLAIN, crop="fit", max_zoom=3.0), with_zoom),
     ]
     tested = {name for _, values in cases for name in values}
-    # Fails where a new field has no case: name and weight are the mixture's.
-    assert {field.name for field in dataclasses.fields(SourceConfig)} - {"name", "weight"} == tested
+    # Fails where a new field has no case: name and weight are the mixture's, the gradient term the loss's.
+    assert {field.name for field in dataclasses.fields(SourceConfig)} - {"name", "weight", "gradient_term"} == tested
 
     rng = np.random.default_rng(0)
     sample = outdoor_sample()
@@ -174,7 +176,7 @@ def test_loss_that_is_not_finite_stops_before_it_reaches_the_weights(run: Run, v
         before, batch = weights_of(run), batch_of(run)
         loss = value * sum(parameter.sum() for parameter in run.network.parameters())
         with pytest.raises(TrainingError, match=r"step 1.*\.jpg"):
-            run.step(loss, batch)
+            run.learn(loss, batch, {})
         assert_weights_are(run, before)
 
 
@@ -184,11 +186,11 @@ def test_gradient_that_is_not_finite_stops_before_it_reaches_the_weights(run: Ru
         # The root of 0 is 0 and has an infinite slope.
         loss = torch.sqrt(0 * sum(parameter.sum() for parameter in run.network.parameters()))
         with pytest.raises(TrainingError, match=r"step 1.*\.jpg"):
-            run.step(loss, batch)
+            run.learn(loss, batch, {})
         assert_weights_are(run, before)
 
 
-def test_gradients_are_clipped_to_their_norm_and_the_norm_before_is_returned(run: Run) -> None:
+def test_gradients_are_clipped_to_their_norm_and_the_norm_before_is_logged(run: Run) -> None:
     with run:
         batch = batch_of(run)
         parameters = list(run.network.parameters())
@@ -196,7 +198,8 @@ def test_gradients_are_clipped_to_their_norm_and_the_norm_before_is_returned(run
         run.optimizer.optimizer.register_step_pre_hook(
             lambda *_: seen.append(torch.stack([p.grad.norm() for p in parameters]).norm())
         )
-        norm = run.step(sum(3 * parameter.sum() for parameter in parameters), batch)
+        run.learn(sum(3 * parameter.sum() for parameter in parameters), batch, {})
+    norm = json.loads((run.out / "log.jsonl").read_text().splitlines()[0])["train/gradient_norm"]
     n_weights = sum(parameter.numel() for parameter in parameters)
     assert norm == pytest.approx(3 * n_weights**0.5, rel=1e-4)
     assert seen[0].item() == pytest.approx(run.config.optim.clip, rel=1e-3)

@@ -112,7 +112,9 @@ def test_loss_terms_are_those_of_the_batch() -> None:
     target = torch.full((2, 1, 4, 4), 1.0)
     logits = torch.tensor([[0.0, 0.0], [0.0, 0.0]])
     output = DepthOutput(depth, depth, torch.tensor([0, 1]), logits, std=None, bin_centers=None, probability=None)
-    batch = Batch(torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), ["a", "b"])
+    batch = Batch(
+        torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), torch.tensor([0, 0]), ["a", "b"], "depth"
+    )
 
     terms = metric_losses(output, batch, domain_weight=3.0)
 
@@ -264,7 +266,7 @@ def test_held_out_photos_are_validated_not_trained_on(
 ) -> None:
     names: list[str] = []
     read(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
-    config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2)
+    config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2, pictures=0)
     train_metric(config, data=data, out=tmp_path, start=None)
 
     lines = [line for line in log_of(tmp_path) if "validation/indoor/rel" in line]

@@ -199,7 +199,14 @@ def test_failed_save_leaves_the_checkpoints_as_they_were(config: TrainConfig, tm
     make_state(config).load(folder, config)
 
 
-HARMLESS = {"n_workers": 5, "log_every": 7, "validate_every": 7, "checkpoint_every": 7}
+HARMLESS = {
+    "n_workers": 5,
+    "log_every": 7,
+    "validate_every": 7,
+    "keep_checkpoints": 5,
+    "pictures": 0,
+    "checkpoint_every": 7,
+}
 
 
 def other_values(config: TrainConfig) -> dict[str, object]:
@@ -213,6 +220,12 @@ def other_values(config: TrainConfig) -> dict[str, object]:
         "batch_size": config.batch_size + 1,
         "optim": dataclasses.replace(config.optim, weight_decay=0.5),
         "mix_by": "batch",
+        "accumulate": config.batch_size,
+        "task_weights": "pareto",
+        "pareto_every": 5,
+        "pareto_parameters": "all",
+        "pareto_normalizer": "loss+",
+        "gradient_checkpointing": True,
         "domain_weight": 2.0,
         "route_by_label": False,
         "trim": 0.5,
@@ -236,6 +249,16 @@ def test_every_field_but_the_harmless_must_agree_and_is_named(
     changed = dataclasses.replace(config, **{name: other_values(config)[name]})
     with pytest.raises(InputError, match=rf"\['{name}'\]"):
         any_state.load(saved_once, changed)
+
+
+def test_other_data_is_another_run(
+    config: TrainConfig, saved_once: Path, any_state: TrainState, tmp_path: Path
+) -> None:
+    folder = any_state.save(tmp_path, config, {"data": {"indoor": "nyu"}})
+    any_state.load(folder, config, {"data": {"indoor": "nyu"}})
+    with pytest.raises(InputError, match=r"\['data'\] differ"):
+        any_state.load(folder, config, {"data": {"indoor": "kitchen"}})
+    any_state.load(saved_once, config, {"data": {"indoor": "nyu"}})  # from before it was written down
 
 
 @pytest.mark.parametrize("file", ["meta.json", "train.pt"])

@@ -22,8 +22,8 @@ class Run:
     """The run's folder: checkpoints, log.jsonl, TensorBoard. An unfinished run in it goes on."""
     start: str | None = None
     """Starting weights: "imagenet", a model's name, a .safetensors file or the folder of a checkpoint."""
-    devices: int = 1
-    """Processes on this machine, one a GPU (or, on the CPU, one a group of cores)."""
+    devices: int | None = None
+    """Processes on this machine, one a GPU (or, on the CPU, one a group of cores); under torchrun, its own number."""
     nodes: int = 1
     """Machines."""
     config: TrainConfig = field(default_factory=RECIPES["zoed_lite"])

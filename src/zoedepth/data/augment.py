@@ -70,7 +70,8 @@ def kitti_crop() -> Augmentation:
         rows = slice(max(0, height - 352), height)
         left = max(0, int((width - 1216) / 2))
         columns = slice(left, left + min(width, 1216))
-        return _map(sample, lambda x: x[:, rows, columns])
+        cut = _map(sample, lambda x: x[:, rows, columns])
+        return replace(cut, camera=sample.camera and sample.camera.cropped(rows.start, left))
 
     return apply
 
@@ -79,13 +80,19 @@ def flip(*, probability: float = 0.5) -> Augmentation:
     """Mirror left and right."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
-        return _map(sample, lambda x: x.flip(-1)) if rng.random() < probability else sample
+        if rng.random() >= probability:
+            return sample
+        camera = sample.camera and sample.camera.mirrored(sample.image.shape[-1])
+        return replace(_map(sample, lambda x: x.flip(-1)), camera=camera)
 
     return apply
 
 
 def rotate(*, degrees: float = 1.0) -> Augmentation:
-    """Turn about the centre by an angle drawn from +-``degrees``; corners from outside are black and unknown."""
+    """Turn about the centre by an angle drawn from +-``degrees``; corners from outside are black and unknown.
+
+    The camera stays, as if its principal point were the centre.
+    """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         angle = math.radians(rng.uniform(-degrees, degrees))
@@ -158,9 +165,13 @@ def _resized_window(
     sample: Sample, top: int, left: int, window: tuple[int, int], size: tuple[int, int], zoom: float
 ) -> Sample:
     cropped = _map(sample, lambda x: x[:, top : top + window[0], left : left + window[1]])
+    camera = sample.camera and sample.camera.cropped(top, left).scaled(size[0] / window[0], size[1] / window[1])
     image = F.interpolate(cropped.image[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
     # Nearest: the mean of a near and a far depth is a depth of nothing.
     target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
     mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
     target = target / zoom if sample.kind == "depth" else target
-    return replace(sample, image=image.clamp(0, 1), target=target, mask=mask)
+    if camera and zoom != 1:
+        # Nearer, through the lens of before: the picture is the same, the focal length is not.
+        camera = replace(camera, fx=camera.fx / zoom, fy=camera.fy / zoom)
+    return replace(sample, image=image.clamp(0, 1), target=target, mask=mask, camera=camera)

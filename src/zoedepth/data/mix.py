@@ -5,13 +5,14 @@ workers gives the same samples, and processes share the stream by taking every n
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from torch.utils.data import Dataset, Sampler
+from jaxtyping import Int64
+from torch.utils.data import Dataset, Sampler, Subset
 
 from zoedepth.data.augment import Augmentation, augment
-from zoedepth.data.sample import Sample, Samples
+from zoedepth.data.sample import Ordered, Sample, Samples
 from zoedepth.errors import InputError
 
 
@@ -41,6 +42,7 @@ class Mixture(Dataset[Sample]):
         self.seed = seed
         self.turn = turn
         self._round = _interleave([source.weight for source in sources])
+        self._orders: dict[int, tuple[int, Int64[np.ndarray, " samples"]]] = {}
 
     def locate(self, position: int) -> tuple[int, int, int]:
         """(index of the data set, index in it, its epoch) at a position of the stream."""
@@ -51,15 +53,34 @@ class Mixture(Dataset[Sample]):
         turns_before = number * source.weight + self._round[:place].count(index)
         count = turns_before * self.turn + within
         epoch, rank = divmod(count, len(source.dataset))
-        order = np.random.default_rng((self.seed, index, epoch)).permutation(len(source.dataset))
-        return index, int(order[rank]), epoch
+        return index, int(self._order(index, epoch)[rank]), epoch
+
+    def _order(self, index: int, epoch: int) -> Int64[np.ndarray, " samples"]:
+        # The last epoch's is kept: to shuffle a million numbers takes as long as to read a sample.
+        if index not in self._orders or self._orders[index][0] != epoch:
+            rng = np.random.default_rng((self.seed, index, epoch))
+            self._orders[index] = (epoch, shuffled(self.sources[index].dataset, rng))
+        return self._orders[index][1]
 
     def __getitem__(self, position: int) -> Sample:
         """The augmented sample at a position of the stream."""
         index, item, _ = self.locate(position)
         source = self.sources[index]
         rng = np.random.default_rng((self.seed, position))
-        return augment(source.dataset[item], source.augmentations, rng)
+        return augment(replace(source.dataset[item], source=index), source.augmentations, rng)
+
+
+def shuffled(dataset: Samples, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
+    """The numbers of all samples of a data set, shuffled: in its own order, if it or what it is a part of has one."""
+    if isinstance(dataset, Ordered):
+        return dataset.order(rng)
+    if isinstance(dataset, Subset) and isinstance(dataset.dataset, Ordered):
+        whole = dataset.dataset
+        place = np.full(len(whole), -1)
+        place[np.asarray(dataset.indices)] = np.arange(len(dataset))
+        order = place[whole.order(rng)]
+        return order[order >= 0]
+    return rng.permutation(len(dataset))
 
 
 class Positions(Sampler[list[int]]):

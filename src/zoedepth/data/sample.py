@@ -1,10 +1,12 @@
 """One training example, and many of them as a batch."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int64
 from torch import Tensor
 
 from zoedepth.camera import Intrinsics
@@ -32,6 +34,8 @@ class Sample:
     """The image's path as the data set lists it."""
     camera: Intrinsics | None = None
     """The camera of the photo at its present size, where it is known."""
+    source: int = 0
+    """Place of its data set among those of a mixture."""
 
 
 @runtime_checkable
@@ -43,6 +47,29 @@ class Samples(Protocol):
     def __getitem__(self, index: int, /) -> Sample: ...
 
 
+class DepthDataset(Samples, Protocol):
+    """A data set that says what occurs in it, without reading its samples."""
+
+    @property
+    def domains(self) -> Sequence[str]:
+        """The scene types that occur."""
+        ...
+
+    @property
+    def kinds(self) -> Sequence[Target]:
+        """The kinds of target that occur."""
+        ...
+
+
+@runtime_checkable
+class Ordered(Samples, Protocol):
+    """A data set that is slow to read in any order, and knows a shuffled one that is not."""
+
+    def order(self, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
+        """The numbers of all samples, each once, shuffled."""
+        ...
+
+
 class Batch(NamedTuple):
     """Samples of one size, stacked."""
 
@@ -51,7 +78,18 @@ class Batch(NamedTuple):
     mask: Bool[Tensor, "batch 1 height width"]
     domain: Int[Tensor, " batch"]
     """Index of each sample's domain in the model's config."""
+    source: Int[Tensor, " batch"]
+    """Place of each sample's data set in the mixture."""
     names: list[str]
+    kind: Target
+
+    def samples(self, domains: Sequence[str]) -> list[Sample]:
+        """The samples again, as far as a batch knows them; ``domains`` are the names of the model's."""
+        return [
+            Sample(self.pixels[i].cpu(), self.target[i].cpu(), self.mask[i].cpu(), self.kind,
+                   domains[int(self.domain[i])] if domains else "", self.names[i])
+            for i in range(len(self.names))
+        ]  # fmt: skip
 
 
 def collate(samples: list[Sample], *, domains: tuple[str, ...]) -> Batch:
@@ -72,5 +110,7 @@ def collate(samples: list[Sample], *, domains: tuple[str, ...]) -> Batch:
         torch.stack([sample.target for sample in samples]),
         torch.stack([sample.mask for sample in samples]),
         torch.tensor([domains.index(sample.domain) if len(domains) > 1 else 0 for sample in samples]),
+        torch.tensor([sample.source for sample in samples]),
         [sample.name for sample in samples],
+        samples[0].kind,
     )

@@ -105,7 +105,7 @@ def aligned_depth(
         inverse = depth if prediction.relative else 1 / np.maximum(depth, 1e-6)
         inverse = np.nan_to_num(inverse, nan=1 / low, posinf=1 / low, neginf=0.0)
         # A disparity of 0 or less is infinitely far.
-        depth = 1 / np.maximum(_least_squares(inverse, 1 / np.maximum(truth, 1e-6), scored), 1 / high)
+        depth = 1 / np.maximum(least_squares(inverse, 1 / np.maximum(truth, 1e-6), scored), 1 / high)
     depth = np.nan_to_num(depth, nan=low, posinf=high, neginf=low)
     if protocol.alignment == "median":
         depth = depth * (np.median(truth[scored]) / max(float(np.median(depth[scored])), 1e-6))
@@ -120,7 +120,7 @@ def fit(x: Float[np.ndarray, "_ _"], size: tuple[int, ...]) -> Float[np.ndarray,
     return resized[0, 0].numpy()
 
 
-def _least_squares(x: np.ndarray, target: np.ndarray, where: np.ndarray) -> np.ndarray:
+def least_squares(x: np.ndarray, target: np.ndarray, where: np.ndarray) -> np.ndarray:
     """x * scale + shift with the least squared distance to the target at the given pixels."""
     values, wanted = x[where], target[where]
     centred = values - values.mean()

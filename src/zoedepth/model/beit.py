@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from zoedepth.config import EncoderConfig
 from zoedepth.errors import InputError
@@ -52,6 +53,11 @@ class BeitNetwork(nn.Module):
             nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02)) for block in blocks
         )
         self.channels: tuple[int, ...] = (network.embed_dim,) * 4
+        self._checkpointing = False
+
+    def checkpoint_gradients(self) -> None:
+        """From now on the backward pass computes what is inside the blocks again, instead of keeping it."""
+        self._checkpointing = True
 
     def forward(
         self, pixels: Float[Tensor, "batch 3 height width"]
@@ -64,7 +70,11 @@ class BeitNetwork(nn.Module):
         maps, readouts = [], []
         for number, (block, table) in enumerate(zip(self.blocks, self.position_tables, strict=True)):
             bias = resize_position_table(table, self.native_grid, grid)[index].permute(2, 0, 1).contiguous()
-            tokens = block(tokens, shared_rel_pos_bias=bias.to(tokens.dtype))
+            bias = bias.to(tokens.dtype)
+            if self._checkpointing and torch.is_grad_enabled():
+                tokens = checkpoint(block, tokens, shared_rel_pos_bias=bias, use_reentrant=False)
+            else:
+                tokens = block(tokens, shared_rel_pos_bias=bias)
             if number in self.taps:
                 maps.append(tokens[:, 1:].transpose(1, 2).unflatten(2, grid))
                 readouts.append(tokens[:, 0])

@@ -72,6 +72,14 @@ class PyramidNetwork(nn.Module):
         if config.family == "convolutional":
             _replace_depthwise(self.stages)
 
+    def checkpoint_gradients(self) -> None:
+        """From now on the backward pass computes what is inside the stages again, instead of keeping it."""
+        if self.channels_last:
+            for stage in (module for module in self.stages.modules() if hasattr(module, "grad_checkpointing")):
+                stage.grad_checkpointing = True
+        else:
+            self.stages.set_grad_checkpointing(True)
+
     def forward(self, pixels: Float[Tensor, "batch 3 height width"]) -> list[Float[Tensor, "batch _ _ _"]]:
         """Four maps, fine to coarse."""
         maps = self.stages(pixels)

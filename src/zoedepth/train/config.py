@@ -15,6 +15,8 @@ class SourceConfig:
     """The NAME in ``--data NAME=PATH``."""
     weight: int = 1
     """Its turns in a round of the mixture."""
+    gradient_term: bool = True
+    """Stage 1: the gradient term of the loss is used. Not for scattered depth, which has no neighbours (DPT)."""
     crop: Literal["squeeze", "fit"] = "squeeze"
     """squeeze: the whole photo, its shape ignored (released). fit: a window of the network's shape."""
     max_zoom: float = 1.0
@@ -39,7 +41,7 @@ class SourceConfig:
 
 @dataclass(frozen=True)
 class OptimConfig:
-    """AdamW with one-cycle rates (paper; released ``config_zoedepth.json``)."""
+    """AdamW with one-cycle rates (paper; released ``config_zoedepth.json``), or with constant ones (MiDaS v3.1)."""
 
     learning_rate: float = 1.61e-4
     """Highest rate, that of the metric heads and the router."""
@@ -51,6 +53,8 @@ class OptimConfig:
     """The decoder's rate, as a factor of it. 0 freezes the decoder."""
     weight_decay: float = 0.01
     """AdamW's decay of all weights."""
+    schedule: Literal["one-cycle", "constant"] = "one-cycle"
+    """one-cycle: see the fields below. constant: every rate as it is, the first beta the higher of ``momentum``."""
     warmup: float = 0.7
     """Share of the steps before the rates fall."""
     initial_division: float = 1.0
@@ -81,6 +85,9 @@ class TrainConfig:
     """Rates and their schedule."""
     mix_by: Literal["image", "batch"] = "image"
     """Data sets take turns image by image, or batch by batch (released)."""
+    accumulate: int = 1
+    """The samples of a step go through the network in this many batches, for the memory of one. Losses whose statistics
+    are those of a batch (SILog) are then those of the smaller ones."""
     domain_weight: float = 100.0
     """metric: weight of the router's cross-entropy."""
     route_by_label: bool = True
@@ -89,6 +96,17 @@ class TrainConfig:
     """relative: share of the largest residuals of an image that is ignored."""
     gradient_weight: float = 0.5
     """relative: weight of the gradient term."""
+    task_weights: Literal["images", "pareto"] = "images"
+    """relative: how the losses of the data sets are weighed. images: every image counts the same. pareto: by the
+    multi-objective step (MGDA), under which no data set's loss is raised."""
+    pareto_every: int = 1
+    """relative: steps between two solutions for the weights, each of which costs a backward pass a data set."""
+    pareto_parameters: Literal["decoder", "all"] = "decoder"
+    """relative: the gradients that are weighed against each other. All of BEiT-L's are 0.7 GB a data set."""
+    pareto_normalizer: Literal["none", "l2", "loss", "loss+"] = "none"
+    """relative: what the gradients are divided by first; see ``zoedepth.pareto.Normalizer``."""
+    gradient_checkpointing: bool = False
+    """Compute the encoder's blocks again in the backward pass instead of keeping them: less memory, a third slower."""
     freeze_batch_norm: bool = True
     """Keep the statistics of the encoder's batch norms as pre-trained (released)."""
     ema_decay: float | None = None
@@ -101,6 +119,10 @@ class TrainConfig:
     """Steps between validations."""
     checkpoint_every: int = 250
     """Steps between checkpoints; the last one is always written."""
+    keep_checkpoints: int = 2
+    """Checkpoints kept in the run's folder, the newest."""
+    pictures: int = 4
+    """Samples in the picture of predictions that is made at each validation; 0: none."""
     log_every: int = 10
     """Steps between lines of the log."""
     n_workers: int = 2
@@ -111,5 +133,10 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if self.steps < 1 or self.batch_size < 1:
             raise InputError(f"steps and batch_size must be >= 1; they are {self.steps} and {self.batch_size}")
+        if self.accumulate < 1 or self.batch_size % self.accumulate:
+            raise InputError(f"a batch of {self.batch_size} cannot be split into {self.accumulate} equal parts")
+        for name in ("pareto_every", "validate_every", "checkpoint_every", "log_every", "keep_checkpoints"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} must be >= 1; it is {getattr(self, name)}")
         if self.mix_by == "batch" and self.stage == "relative" and len(self.sources) > 1:
             raise InputError("stage 1 needs all data sets in each batch: mix_by must be 'image'")

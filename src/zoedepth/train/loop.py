@@ -1,37 +1,31 @@
-"""What the two stages share: data, processes, checkpoints, logs. The losses are in relative.py and metric.py."""
+"""What the two stages share: data, steps, checkpoints, logs. The losses are in relative.py and metric.py."""
 
-import json
 import math
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
-import numpy as np
 import torch
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-from torch import nn
+from torch import Tensor, nn
 from torch.utils.data import DataLoader, Subset
 
-from zoedepth.data import augment
 from zoedepth.data.mix import Mixture, Positions, Source
-from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample, collate
-from zoedepth.errors import InputError, MissingExtraError, TrainingError
-from zoedepth.images import atomic_path
+from zoedepth.errors import TrainingError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.log import Log
 from zoedepth.train.optim import build_optimizer, set_rates
+from zoedepth.train.pictures import predictions_sheet
+from zoedepth.train.processes import launch_fabric, several_processes, total
+from zoedepth.train.sources import augmentations, load_sources
 from zoedepth.train.start import start_from
 from zoedepth.train.state import TrainState, averaged, checkpoints
 from zoedepth.train.validate import validate
-
-if TYPE_CHECKING:
-    from lightning_fabric import Fabric
-
-console = Console(stderr=True)
 
 
 class Run:
@@ -40,10 +34,10 @@ class Run:
     Args:
         config: the recipe.
         part: the part of the model that is trained; the network of the run.
-        data: NAME of a source of the recipe → CSV file or folder.
+        data: NAME of a source of the recipe → where its data is.
         out: the run's folder.
         start: starting weights, see :func:`zoedepth.train.start.start_from`; not read when resuming.
-        devices, n_nodes: processes on each machine, machines.
+        devices, n_nodes: processes on each machine, machines; see :func:`zoedepth.train.processes.launch_fabric`.
     """
 
     def __init__(
@@ -51,10 +45,10 @@ class Run:
         config: TrainConfig,
         *,
         part: Callable[[ZoeDepth], nn.Module],
-        data: Mapping[str, Path],
+        data: Mapping[str, str | Path],
         out: Path,
         start: str | None,
-        devices: int,
+        devices: int | None,
         n_nodes: int,
     ) -> None:
         self.config = config
@@ -62,15 +56,19 @@ class Run:
         self.fabric = launch_fabric(config, devices=devices, n_nodes=n_nodes)
         self.fabric.seed_everything(config.seed, workers=True, verbose=False)
         training, self.validation = load_sources(config, data)
+        self.sources = [source for source, _ in training]
 
         model = ZoeDepth(config.model).to(memory_format=torch.channels_last)
         finished = checkpoints(out)
         started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, start)
+        if config.gradient_checkpointing:
+            model.encoder.network.checkpoint_gradients()
         network = part(model)
         optimizer = build_optimizer(network, config.optim)
         self.state = TrainState(model, optimizer, averaged(model, config.ema_decay))
+        self.identity = {"data": {name: str(path) for name, path in sorted(data.items())}}
         if finished:
-            self.state.load(finished[-1], config)
+            self.state.load(finished[-1], config, self.identity)
         n_images = sum(len(subset) for _, subset in training)
         self.fabric.print(
             f"{config.stage} from {started_from}: steps {self.state.step} to {config.steps}, {n_images} images"
@@ -78,11 +76,21 @@ class Run:
         self.network, self.optimizer = self.fabric.setup(network, optimizer)
         self._loader = self._build_loader(training)
         self._log = Log(out, config, first_step=self.state.step, active=self.fabric.is_global_zero)
+        self._part_of_step = 0
+        self._sums: dict[str, float] = {}
+        self._waited = 0.0
+        self._signal: int | None = None
 
     def __enter__(self) -> "Run":
+        self._handlers = {}
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, self._note_signal)
         return self
 
     def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
         self._log.close()
 
     @property
@@ -92,50 +100,119 @@ class Run:
         return checkpoints(self.out)[-1]
 
     def batches(self) -> Iterator[Batch]:
-        """This process's share of every step that is left, with model and rates ready for it."""
+        """This process's share of every step that is left, with model and rates ready for it.
+
+        With gradient accumulation a step has several batches.
+        """
         model, config = self.state.model, self.config
-        for batch in self._loader:
+        loader = iter(self._loader)
+        while True:
+            asked = time.monotonic()
+            try:
+                batch = next(loader)
+            except StopIteration:
+                return
+            self._waited += time.monotonic() - asked
             model.train()
             if config.freeze_batch_norm:
                 freeze_batch_norm(model.encoder)
             set_rates(self.optimizer, self.state.step, config.steps, config.optim)
             yield batch._replace(pixels=batch.pixels.contiguous(memory_format=torch.channels_last))
 
-    def step(self, loss: torch.Tensor, batch: Batch) -> float:
-        """Backward, clip, optimizer step, moving average; returns the norm of the gradients before clipping.
+    def learn(self, loss: Tensor, batch: Batch, numbers: Mapping[str, float]) -> None:
+        """Backward; after the last batch of a step: clip, optimizer step, moving average, log, validate, checkpoint.
+
+        Args:
+            loss: the same on all processes, see :func:`zoedepth.train.processes.total`.
+            batch: what it was made of.
+            numbers: what to log of it.
 
         Raises:
             TrainingError: loss or gradients are not finite; the images are named, the last checkpoint is intact.
+            KeyboardInterrupt: the run was asked to end, and a checkpoint of this step is written.
         """
+        config, state = self.config, self.state
         if not math.isfinite(loss.item()):
             raise TrainingError(self._explain("loss", loss.item(), batch))
-        self.fabric.backward(loss)
+        self._part_of_step += 1
+        complete = self._part_of_step == config.accumulate
+        with self.fabric.no_backward_sync(self.network, enabled=not complete):
+            self.fabric.backward(loss / config.accumulate)
+        for name, value in numbers.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value / config.accumulate
+        if not complete:
+            return
+        norm = self._clip(batch)
+        self.optimizer.step()
+        self.optimizer.zero_grad()
+        if state.ema is not None:
+            state.ema.update_parameters(state.model)
+        state.step += 1
+        self._report({**self._sums, "gradient_norm": norm}, batch)
+        self._part_of_step, self._sums = 0, {}
+
+    def is_turn(self, every: int) -> bool:
+        """Whether what happens every so many steps happens at this one, the first included."""
+        return self.state.step % every == 0
+
+    def _clip(self, batch: Batch) -> float:
+        """Clip the gradients; their norm before."""
         clipped = self.fabric.clip_gradients(
             self.network, self.optimizer, max_norm=self.config.optim.clip, error_if_nonfinite=False
         )
-        norm = cast(torch.Tensor, clipped).item()
+        norm = cast(Tensor, clipped).item()
         # Half precision's loss scaling meets infinite gradients and skips the step; elsewhere they would end the run.
         if self.config.precision != "16-mixed" and not math.isfinite(norm):
             raise TrainingError(self._explain("norm of the gradients", norm, batch))
-        self.optimizer.step()
-        self.optimizer.zero_grad()
-        if self.state.ema is not None:
-            self.state.ema.update_parameters(self.state.model)
-        self.state.step += 1
         return norm
 
-    def report(self, numbers: Mapping[str, float]) -> None:
-        """Log, validate and write a checkpoint, each when its step has come."""
+    def _report(self, numbers: Mapping[str, float], batch: Batch) -> None:
+        """Log, validate, draw and write a checkpoint, each when its step has come."""
         config, step = self.config, self.state.step
         last = step == config.steps
-        if step % config.log_every == 0 or last:
-            self._log.write(step, {f"train/{name}": float(value) for name, value in numbers.items()})
-        if not self.fabric.is_global_zero:
-            return
-        if self.validation and (step % config.validate_every == 0 or last):
-            self._log.write(step, validate(self.state.result, self.validation))
-        if step % config.checkpoint_every == 0 or last:
-            self.state.save(self.out, config)
+        interrupted = self._asked_to_end()
+        if self.fabric.is_global_zero:
+            if step % config.log_every == 0 or last:
+                rates = {f"rate/{group['name']}": group["lr"] for group in self.optimizer.param_groups}
+                train = {f"train/{name}": float(value) for name, value in numbers.items()}
+                self._log.write(step, {**train, **rates}, waited=self._waited)
+                self._waited = 0.0
+            with self._log.paused():
+                if step % config.validate_every == 0 or last:
+                    self._look(step, batch)
+                if step % config.checkpoint_every == 0 or last or interrupted:
+                    self.state.save(self.out, config, self.identity)
+        if interrupted and not last:
+            self.fabric.barrier()
+            raise KeyboardInterrupt(f"step {step} is saved; the same command goes on from there")
+
+    def _look(self, step: int, batch: Batch) -> None:
+        """Validate and draw."""
+        if self.validation:
+            self._log.write(step, validate(self.state.result, self.validation, stage=self.config.stage))
+        if self.config.pictures:
+            sheet = predictions_sheet(self.state.result, self._shown(batch), stage=self.config.stage)
+            self._log.picture(step, sheet)
+
+    def _shown(self, batch: Batch) -> list[Sample]:
+        """The samples of the pictures: held-out ones of every set, or else those of the batch."""
+        n = self.config.pictures
+        held_out = [subset[i] for subset in self.validation.values() for i in range(min(len(subset), n))]
+        return (
+            held_out[:: max(1, len(held_out) // n)][:n]
+            if held_out
+            else batch.samples([domain.name for domain in self.config.model.domains])[:n]
+        )
+
+    def _note_signal(self, number: int, _: object) -> None:
+        """The step is finished first; a second signal ends the process at once."""
+        self._signal = number
+        signal.signal(number, self._handlers[number])
+
+    def _asked_to_end(self) -> bool:
+        """Whether any process has got a signal: all have to stop after the same step."""
+        mine = float(self._signal is not None)
+        return bool(total(torch.tensor(mine, device=self.fabric.device)) > 0) if several_processes() else mine > 0
 
     def _explain(self, what: str, value: float, batch: Batch) -> str:
         return (
@@ -145,15 +222,16 @@ class Run:
 
     def _build_loader(self, training: list[tuple[SourceConfig, "Subset[Sample]"]]) -> Iterable[Batch]:
         config, fabric = self.config, self.fabric
+        size = config.batch_size // config.accumulate
         mixture = Mixture(
             [Source(subset, augmentations(source, config), source.weight) for source, subset in training],
             seed=config.seed,
             turn=config.batch_size if config.mix_by == "batch" else 1,
         )
         positions = Positions(
-            self.state.step,
-            config.steps,
-            batch_size=config.batch_size,
+            self.state.step * config.accumulate,
+            config.steps * config.accumulate,
+            batch_size=size,
             rank=fabric.global_rank,
             n_processes=fabric.world_size,
         )
@@ -171,152 +249,8 @@ class Run:
         return cast(Iterable[Batch], fabric.setup_dataloaders(loader, use_distributed_sampler=False))
 
 
-def load_sources(
-    config: TrainConfig, data: Mapping[str, Path]
-) -> tuple[list[tuple[SourceConfig, "Subset[Sample]"]], dict[str, "Subset[Sample]"]]:
-    """(what to train on with its config, what to validate on by name), from ``--data NAME=PATH``.
-
-    Raises:
-        InputError: a name is not one of the recipe's sources, or the data does not suit the stage.
-    """
-    known = {source.name: source for source in config.sources}
-    if unknown := sorted(set(data) - set(known)):
-        raise InputError(f"unknown data {unknown}: this recipe has the sources {sorted(known)}")
-    if not data:
-        raise InputError(f"no data: give --data NAME=PATH for one or more of {sorted(known)}")
-    training, validation = [], {}
-    for name in (source.name for source in config.sources if source.name in data):  # not the order of the command line
-        dataset = PairDataset(data[name], split="train")
-        if config.stage == "metric" and "disparity" in dataset.kinds:
-            raise InputError(f"{dataset.path} has disparity; stage 2 needs depth in metres")
-        domains = {domain.name for domain in config.model.domains}
-        if config.stage == "metric" and len(domains) > 1 and (others := set(dataset.domains) - domains):
-            raise InputError(f"{dataset.path} has the domains {sorted(others)}, the model {sorted(domains)}")
-        n_training = len(dataset) - config.holdout
-        if n_training < 1:
-            raise InputError(f"{dataset.path} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none")
-        training.append((known[name], Subset(dataset, range(n_training))))
-        if config.holdout and "disparity" not in dataset.kinds:
-            validation[name] = Subset(dataset, range(n_training, len(dataset)))
-    return training, validation
-
-
-def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
-    """The augmentations of a source, in order."""
-    domains = config.model.domains
-    steps = [augment.kitti_crop()] if source.kitti_crop else []
-    if source.crop == "fit":
-        steps.append(augment.fit_crop(config.model.size, max_zoom=source.max_zoom, probability=source.zoom_probability))
-    else:
-        steps.append(augment.squeeze(config.model.size))
-    steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
-    steps.append(
-        augment.jitter_colors(
-            probability=source.color_probability,
-            gamma=source.gamma,
-            brightness=source.brightness,
-            channel_gain=source.channel_gain,
-            saturation=source.saturation,
-        )
-    )
-    ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
-    steps.append(partial(_limit_by_domain, ranges=ranges))
-    if config.stage == "relative":
-        steps.append(augment.to_disparity())
-    return steps
-
-
-def _limit_by_domain(sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]) -> Sample:
-    """Depth outside the range of the sample's domain counts as unknown."""
-    low, high = ranges.get(sample.domain) or next(iter(ranges.values()))
-    return augment.limit_depth(low, high)(sample, rng)
-
-
-def launch_fabric(config: TrainConfig, *, devices: int, n_nodes: int) -> "Fabric":
-    """Fabric on this machine's accelerator or CPU; several processes by DDP, also under torchrun.
-
-    Raises:
-        MissingExtraError: Lightning Fabric is not installed.
-    """
-    try:
-        from lightning_fabric import Fabric
-        from lightning_fabric.strategies import DDPStrategy
-    except ImportError as error:
-        raise MissingExtraError("train", "zoedepth train") from error
-    several = devices * n_nodes > 1
-    # A batch may use some heads only, so some parameters may get no gradient.
-    strategy = DDPStrategy(find_unused_parameters=True) if several else "auto"
-    fabric = Fabric(
-        accelerator="auto", devices=devices, num_nodes=n_nodes, precision=config.precision, strategy=strategy
-    )
-    fabric.launch()
-    return fabric
-
-
 def freeze_batch_norm(model: nn.Module) -> None:
     """Put all batch norms into evaluation mode: their statistics stay, their weights still learn."""
     for module in model.modules():
         if isinstance(module, nn.modules.batchnorm._BatchNorm):
             module.eval()
-
-
-class Log:
-    """Console, JSONL and TensorBoard, from the first process only."""
-
-    def __init__(self, folder: Path, config: TrainConfig, *, first_step: int, active: bool) -> None:
-        self.active = active
-        self._started = time.monotonic()
-        self._first_step = first_step
-        self._batch_size = config.batch_size
-        if not active:
-            return
-        from torch.utils.tensorboard import SummaryWriter
-
-        folder.mkdir(parents=True, exist_ok=True)
-        self._jsonl = folder / "log.jsonl"
-        self._forget_after(first_step)
-        self._tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step)
-        self._progress = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[state]}"), console=console,
-        )  # fmt: skip
-        self._task = self._progress.add_task(config.stage, total=config.steps, completed=first_step, state="")
-        self._progress.start()
-
-    def write(self, step: int, values: Mapping[str, float]) -> None:
-        """Log named numbers of a step."""
-        if not self.active:
-            return
-        seconds = time.monotonic() - self._started
-        rate = (step - self._first_step) * self._batch_size / max(seconds, 1e-9)
-        numbers = {name: round(value, 6) for name, value in values.items()}
-        record = {"step": step, **numbers, "images_per_s": round(rate, 2)}
-        with self._jsonl.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(record) + "\n")
-        for name, value in values.items():
-            self._tensorboard.add_scalar(name, value, step)
-        text = " ".join(f"{name.removeprefix('train/')}={value:.4g}" for name, value in values.items())
-        self._progress.update(self._task, completed=step, state=text)
-        if not console.is_terminal or any(name.startswith("validation/") for name in values):
-            self._progress.console.print(f"step {step}: {text} ({rate:.1f} images/s)", highlight=False)
-
-    def close(self) -> None:
-        """Finish the progress bar and the files."""
-        if self.active:
-            self._progress.stop()
-            self._tensorboard.close()
-
-    def _forget_after(self, step: int) -> None:
-        """A run resumed from an earlier step repeats the steps logged after it: drop them."""
-        if self._jsonl.is_file():
-            lines = self._jsonl.read_text(encoding="utf-8").splitlines()
-            with atomic_path(self._jsonl) as part:
-                part.write_text("".join(f"{line}\n" for line in lines if _logged_step(line) <= step), encoding="utf-8")
-
-
-def _logged_step(line: str) -> float:
-    """The step of a line of the log; infinite for a line that a kill has cut off."""
-    try:
-        return json.loads(line)["step"]
-    except ValueError:
-        return math.inf

@@ -4,21 +4,23 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from zoedepth import losses
 from zoedepth.data.sample import Batch
 from zoedepth.model.zoedepth import DepthOutput
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.loop import Run
+from zoedepth.train.processes import total
 
 
 def train_metric(
     config: TrainConfig,
     *,
-    data: Mapping[str, Path],
+    data: Mapping[str, str | Path],
     out: Path,
     start: str | None = None,
-    devices: int = 1,
+    devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
     """Train, or go on with what is in ``out``; returns the last checkpoint. For the arguments see :class:`Run`."""
@@ -28,14 +30,19 @@ def train_metric(
         for batch in run.batches():
             output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
             terms = metric_losses(output, batch, domain_weight=config.domain_weight)
-            norm = run.step(torch.stack(list(terms.values())).sum(), batch)
-            run.report({**{name: term.item() for name, term in terms.items()}, "gradient_norm": norm})
+            run.learn(
+                torch.stack(list(terms.values())).sum(), batch, {name: term.item() for name, term in terms.items()}
+            )
         return run.last_checkpoint
 
 
-def metric_losses(output: DepthOutput, batch: Batch, *, domain_weight: float) -> dict[str, torch.Tensor]:
-    """SILog of the depth and, where the router has scores, cross-entropy against the domain labels."""
-    terms = {"silog": losses.silog(output.depth, batch.target, batch.mask)}
+def metric_losses(output: DepthOutput, batch: Batch, *, domain_weight: float) -> dict[str, Tensor]:
+    """SILog of the depth and, where the router has scores, cross-entropy against the domain labels.
+
+    Both are those of the batch of all processes.
+    """
+    terms = {"silog": losses.silog(output.depth, batch.target, batch.mask, total=total)}
     if output.domain_logits is not None and domain_weight > 0:
-        terms["domain"] = domain_weight * losses.domain_cross_entropy(output.domain_logits, batch.domain)
+        entropy, n = losses.domain_cross_entropy(output.domain_logits, batch.domain), batch.domain.new_ones(())
+        terms["domain"] = domain_weight * total(entropy) / total(n)
     return terms

@@ -61,7 +61,7 @@ def one_cycle(step: int, steps: int, config: OptimConfig) -> tuple[float, float]
 
 def set_rates(optimizer: torch.optim.Optimizer, step: int, steps: int, config: OptimConfig) -> None:
     """Give every group its rate and momentum of this step."""
-    factor, beta = one_cycle(step, steps, config)
+    factor, beta = (1.0, config.momentum[1]) if config.schedule == "constant" else one_cycle(step, steps, config)
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate * group["factor"] * factor
         group["betas"] = (beta, group["betas"][1])

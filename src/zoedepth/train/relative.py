@@ -3,14 +3,19 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from jaxtyping import Float
+import torch
+import torch.distributed as distributed
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from zoedepth import losses
+from zoedepth.data.sample import Batch
 from zoedepth.model.decoder import upsample
 from zoedepth.model.zoedepth import ZoeDepth, normalize
+from zoedepth.pareto import min_norm_weights, normalized
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.loop import Run
+from zoedepth.train.processes import several_processes, total
 
 
 class RelativeModel(nn.Module):
@@ -29,10 +34,10 @@ class RelativeModel(nn.Module):
 def train_relative(
     config: TrainConfig,
     *,
-    data: Mapping[str, Path],
+    data: Mapping[str, str | Path],
     out: Path,
     start: str | None = None,
-    devices: int = 1,
+    devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
     """Train, or go on with what is in ``out``; returns the last checkpoint, with which stage 2 can start.
@@ -40,11 +45,65 @@ def train_relative(
     Data of depth and of disparity are both welcome. For the arguments see :class:`Run`.
     """
     with Run(config, part=RelativeModel, data=data, out=out, start=start, devices=devices, n_nodes=n_nodes) as run:
+        state = run.state
         for batch in run.batches():
             relative = run.network(batch.pixels)
-            loss = losses.scale_and_shift_invariant(
-                relative, batch.target, batch.mask, trim=config.trim, gradient_weight=config.gradient_weight
+            tasks, n_images = task_losses(relative, batch, run)
+            present = n_images > 0
+            if config.task_weights == "images":
+                weights = n_images / n_images.sum().clamp(min=1)
+            elif (
+                state.task_weights is None
+                or (present & (state.task_weights == 0)).any()
+                or run.is_turn(config.pareto_every)
+            ):
+                weights = state.task_weights = pareto_weights(tasks, present, config, run)
+            else:
+                weights = state.task_weights * present / (state.task_weights * present).sum()
+            loss = (weights * tasks).sum()
+            shown = (
+                {source.name: i for i, source in enumerate(run.sources) if present[i]} if len(run.sources) > 1 else {}
             )
-            norm = run.step(loss, batch)
-            run.report({"ssi": loss.item(), "gradient_norm": norm})
+            numbers = {"ssi": float((tasks.detach() * n_images).sum() / n_images.sum().clamp(min=1))}
+            numbers |= {f"ssi/{name}": tasks[i].item() for name, i in shown.items()}
+            numbers |= {f"weight/{name}": weights[i].item() for name, i in shown.items()}
+            run.learn(loss, batch, numbers)
         return run.last_checkpoint
+
+
+def task_losses(
+    relative: Float[Tensor, "batch 1 height width"], batch: Batch, run: Run
+) -> tuple[Float[Tensor, " tasks"], Float[Tensor, " tasks"]]:
+    """The mean loss of each data set's images, of all processes, and how many these are; 0 where there are none."""
+    config = run.config
+    with_term = torch.tensor([float(source.gradient_term) for source in run.sources], device=relative.device)
+    images, counted = losses.scale_and_shift_invariant(
+        relative,
+        batch.target,
+        batch.mask,
+        trim=config.trim,
+        gradient_weight=config.gradient_weight * with_term[batch.source],
+    )
+    member = (batch.source[:, None] == torch.arange(len(run.sources), device=relative.device)) & counted[:, None]
+    n_images = total(member.sum(0).float())
+    return total((images[:, None] * member).sum(0)) / n_images.clamp(min=1), n_images
+
+
+def pareto_weights(
+    tasks: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"], config: TrainConfig, run: Run
+) -> Float[Tensor, " tasks"]:
+    """The weights of the multi-objective step for the data sets of this batch; 0 for the others."""
+    part = run.state.model.decoder if config.pareto_parameters == "decoder" else run.network
+    parameters = [parameter for parameter in part.parameters() if parameter.requires_grad]
+    rows = []
+    for task in tasks[present]:
+        found = torch.autograd.grad(task, parameters, retain_graph=True, allow_unused=True)
+        rows.append(torch.cat([gradient.float().flatten() for gradient in found if gradient is not None]))
+    gradients = torch.stack(rows)
+    if several_processes():
+        distributed.all_reduce(gradients)
+        gradients /= distributed.get_world_size()
+    gram = normalized(gradients @ gradients.T, tasks[present].detach(), config.pareto_normalizer)
+    weights = torch.zeros_like(tasks)
+    weights[present] = min_norm_weights(gram).to(weights)
+    return weights

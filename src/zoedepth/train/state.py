@@ -4,12 +4,14 @@ import dataclasses
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from zoedepth.config import from_dict
@@ -17,9 +19,6 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import save_model
 from zoedepth.train.config import TrainConfig
-
-_KEPT = 2
-"""Checkpoints kept in a run's folder."""
 
 
 @dataclass
@@ -31,16 +30,23 @@ class TrainState:
     ema: AveragedModel | None
     step: int = 0
     """Optimizer steps taken."""
+    task_weights: Tensor | None = None
+    """Stage 1: the last solution for the weights of the data sets."""
 
     @property
     def result(self) -> ZoeDepth:
         """The model to validate and to ship: the averaged one where there is one."""
         return self.model if self.ema is None else self.ema.module  # type: ignore[return-value]  # a copy of model
 
-    def save(self, folder: Path, config: TrainConfig) -> Path:
+    def save(self, folder: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> Path:
         """Write ``folder/step_000123/{model.safetensors, train.pt, meta.json}``, whole or not at all.
 
         ``model.safetensors`` is a model like any other, for ``load_model``; ``train.pt`` is for resuming.
+
+        Args:
+            folder: of the run.
+            config: of the run.
+            identity: what else tells one run from another, as plain values: its data.
         """
         final = folder / f"step_{self.step:06d}"
         part = folder / f".{final.name}.part"
@@ -53,19 +59,23 @@ class TrainState:
                 "optimizer": self.optimizer.state_dict(),
                 "ema": self.ema.state_dict() if self.ema is not None else None,
                 "rng": torch.get_rng_state(),
+                "task_weights": self.task_weights,
             },
             part / "train.pt",
         )
-        meta = {"step": self.step, "config": dataclasses.asdict(config)}
+        meta = {"step": self.step, "config": dataclasses.asdict(config), **identity}
         (part / "meta.json").write_text(json.dumps(meta, indent=2), encoding="utf-8")
+        for path in part.iterdir():  # on the disk before it has its name: a power cut leaves the checkpoint before
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
         shutil.rmtree(final, ignore_errors=True)
         os.replace(part, final)
-        for old in checkpoints(folder)[:-_KEPT]:
+        for old in checkpoints(folder)[: -config.keep_checkpoints]:
             shutil.rmtree(old)
         return final
 
-    def load(self, checkpoint: Path, config: TrainConfig) -> None:
-        """Go on from a checkpoint of the same configuration (the number of workers and the logging may differ).
+    def load(self, checkpoint: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> None:
+        """Go on from a checkpoint of the same configuration and data (workers, logging and the like may differ).
 
         Raises:
             InputError: the checkpoint is damaged or of another configuration; the message names the fields.
@@ -76,12 +86,13 @@ class TrainState:
             values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
         except Exception as error:  # any damage of any of the two files
             raise InputError(f"cannot resume from {checkpoint}: {error}") from error
-        harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every"}
+        harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures"}
         differing = [
             field.name
             for field in dataclasses.fields(TrainConfig)
             if field.name not in harmless and getattr(saved, field.name) != getattr(config, field.name)
         ]
+        differing += [name for name, value in identity.items() if meta.get(name, value) != value]
         if differing:
             raise InputError(f"cannot resume {checkpoint}: its {differing} differ; use another --out for another run")
         try:
@@ -90,6 +101,7 @@ class TrainState:
             if self.ema is not None:
                 self.ema.load_state_dict(values["ema"])
             torch.set_rng_state(values["rng"])
+            self.task_weights = values.get("task_weights")
             self.step = int(meta["step"])
         except (RuntimeError, KeyError, TypeError, ValueError) as error:
             raise InputError(f"cannot resume from {checkpoint}, its state does not fit: {error}") from error

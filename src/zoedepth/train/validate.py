@@ -1,31 +1,52 @@
-"""Validation while training: the paper's protocol on pairs held out from the training data."""
+"""Validation while training, on pairs held out from the training data."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
+from statistics import fmean
+from typing import Literal
 
+import numpy as np
+
+from zoedepth.data.augment import to_disparity
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.evaluation.evaluate import predict
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
-from zoedepth.evaluation.scoring import Score, score
+from zoedepth.evaluation.scoring import Score, fit, least_squares, score
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
 
 
-def validate(model: ZoeDepth, validation: Mapping[str, Samples]) -> dict[str, float]:
-    """``validation/{data}/{metric}`` of each held-out set, and the share of its images sent to the right head."""
+def validate(
+    model: ZoeDepth, validation: Mapping[str, Samples], *, stage: Literal["relative", "metric"]
+) -> dict[str, float]:
+    """``validation/{data}/{metric}`` of each held-out set.
+
+    Stage 2: REL, RMSE and delta1 under the paper's protocol, and the share of images sent to the right head. Stage 1:
+    RMSE of the disparity, whose known values are scaled to [0, 1], after the prediction has got the scale and shift of
+    least squares (MiDaS v3.1 compares its trainings so).
+    """
     training = model.training
     model.eval()
     numbers = {}
     for name, subset in validation.items():
-        scores = [_score(model, subset[i]) for i in range(len(subset))]
-        scored = [s.sums.metrics() for s in scores if s.sums is not None]
-        if scored:  # sparse depth may have no pixel inside the crop
-            means = asdict(mean_metrics(scored))
-            numbers |= {f"validation/{name}/{metric}": means[metric] for metric in ("rel", "rmse", "delta1")}
-        if routed := [s for s in scores if s.routed is not None]:
-            numbers[f"validation/{name}/router"] = sum(s.routed == s.domain for s in routed) / len(routed)
+        samples = (subset[i] for i in range(len(subset)))
+        found = _relative(model, samples) if stage == "relative" else _metric(model, samples)
+        numbers |= {f"validation/{name}/{metric}": value for metric, value in found.items()}
     model.train(training)
+    return numbers
+
+
+def _metric(model: ZoeDepth, samples: Iterator[Sample]) -> dict[str, float]:
+    scores = [_score(model, sample) for sample in samples]
+    scored = [s.sums.metrics() for s in scores if s.sums is not None]
+    numbers = {}
+    if scored:  # sparse depth may have no pixel inside the crop
+        means = asdict(mean_metrics(scored))
+        numbers = {metric: means[metric] for metric in ("rel", "rmse", "delta1")}
+    if routed := [s for s in scores if s.routed is not None]:
+        numbers["router"] = sum(s.routed == s.domain for s in routed) / len(routed)
     return numbers
 
 
@@ -33,3 +54,16 @@ def _score(model: ZoeDepth, sample: Sample) -> Score:
     protocol = protocol_of(sample.domain)
     prediction, shown = predict(ModelSource(model), sample, protocol)
     return score(prediction, shown, protocol)
+
+
+def _relative(model: ZoeDepth, samples: Iterator[Sample]) -> dict[str, float]:
+    errors = []
+    predictor = Predictor(model, pad=False, upsampling="bilinear")
+    for sample in samples:
+        if sample.mask.any():
+            truth = to_disparity()(sample, np.random.default_rng())  # draws nothing
+            known = truth.mask[0].numpy()
+            target = truth.target[0].numpy().astype(np.float64)
+            said = fit(predictor.relative(sample.image), target.shape).astype(np.float64)
+            errors.append(float(np.sqrt(np.mean((least_squares(said, target, known) - target)[known] ** 2))))
+    return {"disparity_rmse": fmean(errors)} if errors else {}

@@ -1,0 +1,102 @@
+"""What a run says of itself: console, JSONL and TensorBoard."""
+
+import json
+import math
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from zoedepth.images import ImageArray, atomic_path, write_image
+from zoedepth.train.config import TrainConfig
+
+console = Console(stderr=True)
+
+
+class Log:
+    """Written by the first process only."""
+
+    def __init__(self, folder: Path, config: TrainConfig, *, first_step: int, active: bool) -> None:
+        self.active = active
+        self._since = time.monotonic()
+        self._step = first_step
+        self._batch_size = config.batch_size
+        if not active:
+            return
+        from torch.utils.tensorboard import SummaryWriter
+
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder = folder
+        self._jsonl = folder / "log.jsonl"
+        self._forget_after(first_step)
+        self._tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step)
+        self._progress = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[state]}"), console=console,
+        )  # fmt: skip
+        self._task = self._progress.add_task(config.stage, total=config.steps, completed=first_step, state="")
+        self._progress.start()
+
+    def write(self, step: int, values: Mapping[str, float], *, waited: float | None = None) -> None:
+        """Log named numbers of a step.
+
+        Args:
+            step: steps taken.
+            values: "train/silog", "rate/head" and the like.
+            waited: seconds since the last call with this argument that were spent waiting for data; None for numbers
+                that are not those of training.
+        """
+        if not self.active:
+            return
+        numbers = {name: round(value, 10) for name, value in values.items()}
+        if waited is not None:
+            seconds = max(time.monotonic() - self._since, 1e-9)
+            numbers["images_per_s"] = round((step - self._step) * self._batch_size / seconds, 2)
+            numbers["data_wait"] = round(waited / seconds, 4)
+            self._since, self._step = time.monotonic(), step
+        with self._jsonl.open("a", encoding="utf-8") as file:
+            file.write(json.dumps({"step": step, **numbers}) + "\n")
+        for name, value in numbers.items():
+            self._tensorboard.add_scalar(name if "/" in name else f"speed/{name}", value, step)
+        shown = {name.removeprefix("train/"): value for name, value in numbers.items() if not name.startswith("rate/")}
+        text = " ".join(f"{name}={value:.4g}" for name, value in shown.items())
+        self._progress.update(self._task, completed=step, state=text)
+        if not console.is_terminal or waited is None:
+            self._progress.console.print(f"step {step}: {text}", highlight=False)
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Time that is not training, and in no rate."""
+        began = time.monotonic()
+        yield
+        self._since += time.monotonic() - began
+
+    def picture(self, step: int, image: ImageArray) -> None:
+        """Keep a picture: in TensorBoard, and as ``pictures/step_000123.jpg``."""
+        if self.active:
+            write_image(self._folder / "pictures" / f"step_{step:06d}.jpg", image)
+            self._tensorboard.add_image("predictions", image, step, dataformats="HWC")
+
+    def close(self) -> None:
+        """Finish the progress bar and the files."""
+        if self.active:
+            self._progress.stop()
+            self._tensorboard.close()
+
+    def _forget_after(self, step: int) -> None:
+        """A run resumed from an earlier step repeats the steps logged after it: drop them."""
+        if self._jsonl.is_file():
+            lines = self._jsonl.read_text(encoding="utf-8").splitlines()
+            with atomic_path(self._jsonl) as part:
+                part.write_text("".join(f"{line}\n" for line in lines if _logged_step(line) <= step), encoding="utf-8")
+
+
+def _logged_step(line: str) -> float:
+    """The step of a line of the log; infinite for a line that a kill has cut off."""
+    try:
+        return json.loads(line)["step"]
+    except ValueError:
+        return math.inf

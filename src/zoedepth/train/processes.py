@@ -1,0 +1,74 @@
+"""The processes of a run: one, several on this machine, or those that torchrun has started on many."""
+
+import os
+from typing import TYPE_CHECKING, Any
+
+import torch
+import torch.distributed as distributed
+from torch import Tensor
+
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.train.config import TrainConfig
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+
+def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> "Fabric":
+    """Fabric on this machine's accelerator or CPU; several processes train by DDP.
+
+    Args:
+        config: its precision.
+        devices: processes on each machine; None: as many as torchrun has started here, or one.
+        n_nodes: machines; torchrun's number goes before it.
+
+    Raises:
+        InputError: torchrun has started another number of processes than ``devices``.
+        MissingExtraError: Lightning Fabric is not installed.
+    """
+    try:
+        from lightning_fabric import Fabric
+        from lightning_fabric.strategies import DDPStrategy
+    except ImportError as error:
+        raise MissingExtraError("train", "zoedepth train") from error
+    started, here = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    if "TORCHELASTIC_RUN_ID" in os.environ:
+        if devices not in (None, here):
+            raise InputError(f"torchrun has started {here} processes here, --devices says {devices}: leave it out")
+        devices, n_nodes = here, started // here
+    devices = devices or 1
+    # A batch may use some heads only, so some parameters may get no gradient.
+    several = devices * n_nodes > 1
+    strategy = DDPStrategy(find_unused_parameters=True) if several else "auto"
+    fabric = Fabric(
+        accelerator="auto", devices=devices, num_nodes=n_nodes, precision=config.precision, strategy=strategy
+    )
+    fabric.launch()
+    return fabric
+
+
+def total(x: Tensor) -> Tensor:
+    """The sum of a tensor over all processes, the same on each; gradients flow back.
+
+    DDP averages the gradients of the processes. A loss made of such sums is the same everywhere, and the average of its
+    gradients is what one process with the whole batch would have got.
+    """
+    return _Total.apply(x) if several_processes() else x  # type: ignore[return-value]
+
+
+def several_processes() -> bool:
+    """Whether this process is one of several."""
+    return distributed.is_available() and distributed.is_initialized() and distributed.get_world_size() > 1
+
+
+class _Total(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, x: Tensor) -> Tensor:
+        x = x.clone()
+        distributed.all_reduce(x)
+        return x
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # type: ignore[override]
+        # Each process' loss has this term in it, and all the losses are one and the same.
+        return gradient * distributed.get_world_size()
