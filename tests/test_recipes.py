@@ -54,7 +54,7 @@ def test_recipe_takes_a_step(name: str, tiny_config: ModelConfig, tmp_path: Path
             data[source.name] = write_pairs(tmp_path / source.name, n=1, size=size, domain=domain)
 
     train = train_relative if config.stage == "relative" else train_metric
-    last = train(config, data=data, out=tmp_path / "out", start=None)
+    last = train(config, data=data, out=tmp_path / "out", init=None)
 
     assert last.name == "step_000001"
     assert load_model(last).config == config.model

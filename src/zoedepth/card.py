@@ -118,7 +118,7 @@ def _architecture(config: ModelConfig) -> str:
         f"- Input: RGB, trained at {height} x {width} pixels (height x width): {size}.",
     ]
     if not config.domains:
-        return "\n".join([*lines, "- Heads: none. Metric heads can be trained on it: `zoedepth train ... --start`."])
+        return "\n".join([*lines, "- Heads: none. Metric heads can be trained on it: `zoedepth train ... --init`."])
     lines += [
         f"- Heads: {len(config.domains)}, {_routing(config)}.",
         "",

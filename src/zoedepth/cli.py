@@ -39,6 +39,12 @@ def _train() -> Callable[[Sequence[str]], int]:
     return train
 
 
+def _data() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.data import data
+
+    return data
+
+
 def _models() -> Callable[[Sequence[str]], int]:
     from zoedepth.commands.models import models
 
@@ -62,6 +68,7 @@ COMMANDS = {
     "predict": Command("depth in metres of photos, folders or globs", _predict),
     "train": Command("train a recipe, or go on with it", _train),
     "evaluate": Command("score a model on photos with known depth, under the paper's protocol", _evaluate),
+    "data": Command("the published data sets, and whether a download is in order", _data),
     "models": Command("the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
     "push": Command("publish a model at the Hugging Face Hub", _push),

@@ -45,7 +45,8 @@ def silog(
         return 0 * prediction.float().sum()
     g = torch.log(prediction.float().flatten()[known] + eps) - torch.log(target.float().flatten()[known] + eps)
     mean = total(g.sum()) / n
-    variance = total((g - mean).square().sum()) / (n - 1)
+    # The variance has no slope in the mean; detached, this process' share of that slope is 0 as well.
+    variance = total((g - mean.detach()).square().sum()) / (n - 1)
     # 1e-8: the square root has an infinite slope at 0.
     return 10 * torch.sqrt(variance + beta * mean**2 + 1e-8)
 

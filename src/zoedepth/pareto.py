@@ -1,7 +1,7 @@
 """Many tasks, one network: the weights under which a step makes none of them worse (MGDA).
 
-With g_l the gradient of the loss of task l, the weights c >= 0 of sum 1 that minimise ‖Σ c_l g_l‖² give a direction that
-descends for all tasks, or 0 where none does: a Pareto-optimal point. (Sener & Koltun 2018, Multi-Task Learning as
+With g_l the gradient of the loss of task l, the weights c >= 0 of sum 1 that minimise ‖Σ c_l g_l‖² give a direction
+that descends for all tasks, or 0 where none does: a Pareto-optimal point. (Sener & Koltun 2018, Multi-Task Learning as
 Multi-Objective Optimization, Eq. 3 and Algorithm 2; MiDaS mixes its data sets so, paper section 3.1.) Only the products
 G_kl = g_k · g_l matter.
 """

@@ -74,7 +74,7 @@ def test_first_stage_result_starts_the_second(
     tiny_recipe("metric")
     indoor = write_pairs(tmp_path / "indoor", n=1)
     first = tmp_path / "first" / "step_000001"
-    second = ["--data", str(indoor), "--out", str(tmp_path / "second"), "--start", str(first)]
+    second = ["--data", str(indoor), "--out", str(tmp_path / "second"), "--init", str(first)]
     assert main([*arguments, *second]) == 0
     assert str(first) in capsys.readouterr().out
 
@@ -107,7 +107,7 @@ def test_help_of_a_recipe_lists_its_fields(name: str, capsys: pytest.CaptureFixt
         main(["train", name, "--help"])
     assert stopped.value.code == 0
     output = capsys.readouterr().out
-    for field in ("--data", "--out", "--start", "--config.steps", "--config.optim.learning-rate"):
+    for field in ("--data", "--out", "--init", "--config.steps", "--config.optim.learning-rate"):
         assert field in output
 
 
@@ -131,7 +131,7 @@ def test_wrong_recipe_data_and_start_are_errors_in_one_line(
     assert "'tinny'" in error("tinny", "--data", str(indoor), *out)
     assert "nyu" in error("tiny", "--data", f"nyu={indoor}", *out)
     assert "nowhere" in error("tiny", "--data", f"indoor={tmp_path / 'nowhere'}", *out)
-    assert "zoed-light" in error("tiny", "--data", str(indoor), *out, "--start", "zoed-light")
+    assert "zoed-light" in error("tiny", "--data", str(indoor), *out, "--init", "zoed-light")
     assert not (tmp_path / "out").exists()
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader, Dataset, Subset
 
 from zoedepth.data.mix import Mixture, Positions, Source
 from zoedepth.data.sample import Sample
@@ -181,3 +181,36 @@ def test_positions_can_be_read_again() -> None:
 def test_batch_that_cannot_be_shared_equally_is_an_error() -> None:
     with pytest.raises(InputError, match="6 cannot be shared equally by 4"):
         Positions(0, 1, batch_size=6, n_processes=4)
+
+
+# -------------------------------------------------------------------------------------------- orders of the data's own
+
+
+class InOrder(Numbered):
+    """Has an order of its own: backwards, from a place that is drawn."""
+
+    def order(self, rng: np.random.Generator) -> np.ndarray:
+        return np.roll(np.arange(self.n)[::-1], rng.integers(self.n))
+
+
+def items(dataset: Dataset[Sample], n: int) -> list[int]:
+    mixed = Mixture([Source(dataset, [])], seed=0)  # type: ignore[arg-type]
+    return [mixed.locate(position)[1] for position in range(n)]
+
+
+def test_data_without_an_order_is_shuffled_as_ever() -> None:
+    expected = [np.random.default_rng((0, 0, epoch)).permutation(5) for epoch in range(2)]
+    assert items(Numbered("data", 5), 10) == np.concatenate(expected).tolist()
+
+
+def test_order_of_the_data_is_kept() -> None:
+    read = items(InOrder("data", 10), 20)
+    assert {(read[i] - read[i + 1]) % 10 for i in (*range(9), *range(10, 19))} == {1}
+    assert sorted(read[:10]) == sorted(read[10:]) == list(range(10))
+
+
+def test_order_of_the_data_is_kept_in_a_part_of_it() -> None:
+    """The items 8, 6, 4 are numbers 0, 1, 2 of the part: backwards in the data is forwards in the part."""
+    read = items(Subset(InOrder("data", 10), [8, 6, 4]), 3)
+    assert sorted(read) == [0, 1, 2]
+    assert {(read[i + 1] - read[i]) % 3 for i in range(2)} == {1}

@@ -1,5 +1,8 @@
 """Folders of photos with depth: units, what is unknown, and every way a list or a file can be wrong."""
 
+import tracemalloc
+import zipfile
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +11,10 @@ import torch
 from PIL import Image
 from tests.folders import write_csv, write_disparity_pairs, write_pairs
 
+from zoedepth.camera import Intrinsics
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
+from zoedepth.images import write_depth_png
 
 
 def write_pair(folder: Path, stored: np.ndarray, **row: object) -> Path:
@@ -93,7 +98,7 @@ def test_folder_stands_for_the_list_of_its_split(tmp_path: Path) -> None:
 
 def test_other_columns_are_left_alone(tmp_path: Path) -> None:
     stored = np.array([[1000]], np.uint16)
-    path = write_pair(tmp_path, stored, depth="target.png", depth_scale=1000, fx=500.0, note="a, b", domain="indoor")
+    path = write_pair(tmp_path, stored, depth="target.png", depth_scale=1000, focal=500.0, note="a, b", domain="indoor")
     assert PairDataset(path)[0].target.item() == 1.0
 
 
@@ -254,3 +259,227 @@ def test_depth_in_a_lossy_format_is_an_error(tmp_path: Path) -> None:
     Image.new("L", (4, 4)).save(tmp_path / "target.png", format="JPEG")
     with pytest.raises(InputError, match=r"target\.png"):
         PairDataset(path)[0]
+
+
+# ------------------------------------------------------------------------------------------- what a line may say more
+
+
+def test_camera_is_that_of_the_line(tmp_path: Path) -> None:
+    row = {"depth": "target.png", "depth_scale": 1000, "domain": "indoor", "fx": 500, "fy": "510.5", "cx": 1, "cy": 0}
+    assert PairDataset(write_pair(tmp_path, np.ones((2, 3), np.uint16), **row))[0].camera == Intrinsics(
+        500, 510.5, 1, 0
+    )
+
+
+def test_without_camera_there_is_none(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="target.png", depth_scale=1000, domain="indoor")
+    assert PairDataset(path)[0].camera is None
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"fx": 500},
+        {"fx": 500, "fy": 500, "cx": 1, "cy": ""},
+        {"fx": "wide", "fy": 500, "cx": 1, "cy": 1},
+        {"fx": 0, "fy": 500, "cx": 1, "cy": 1},
+        {"fx": 500, "fy": "inf", "cx": 1, "cy": 1},
+    ],
+    ids=["one", "three", "text", "zero", "infinite"],
+)
+def test_half_a_camera_is_an_error_that_names_file_and_line(tmp_path: Path, camera: dict[str, object]) -> None:
+    row = {"depth": "target.png", "depth_scale": 1000, "domain": "indoor", **camera}
+    with pytest.raises(InputError, match=r"train\.csv, line 2.*(fx, fy|focal)"):
+        PairDataset(write_pair(tmp_path, np.ones((2, 3), np.uint16), **row))
+
+
+@pytest.mark.parametrize("bits", [1, 8, 16])
+def test_depth_is_unknown_where_the_mask_is_zero(tmp_path: Path, bits: int) -> None:
+    row = {"depth": "target.png", "depth_scale": 1, "domain": "indoor", "mask": "mask.png"}
+    path = write_pair(tmp_path, np.array([[1, 2, 0, 0]], np.uint16), **row)
+    mask = np.array([[0, 1, 0, 1]], {1: bool, 8: np.uint8, 16: np.uint16}[bits])
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+
+    sample = PairDataset(path)[0]
+
+    assert sample.mask[0].tolist() == [[False, True, False, False]]
+    assert sample.target[0].tolist() == [[0, 2, 0, 0]]
+
+
+def test_mask_of_another_size_is_an_error_that_names_both_sizes(tmp_path: Path) -> None:
+    row = {"depth": "target.png", "depth_scale": 1, "domain": "indoor", "mask": "mask.png"}
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), **row)
+    Image.fromarray(np.ones((3, 2), np.uint8)).save(tmp_path / "mask.png")
+    with pytest.raises(InputError, match=r"\(2, 3\).*mask.*\(3, 2\)"):
+        PairDataset(path)[0]
+
+
+def test_missing_mask_is_an_error_and_an_empty_cell_is_none(tmp_path: Path) -> None:
+    row = {"depth": "target.png", "depth_scale": 1, "domain": "indoor"}
+    with pytest.raises(InputError, match=r"mask\.png"):
+        PairDataset(write_pair(tmp_path, np.ones((2, 3), np.uint16), **row, mask="mask.png"))
+    assert PairDataset(write_pair(tmp_path, np.ones((2, 3), np.uint16), **row, mask=""))[0].mask.all()
+
+
+# ------------------------------------------------------------------------------------------------- formats and units
+
+
+def write_float(path: Path, metres: np.ndarray) -> None:
+    """Floats in the format of the suffix."""
+    if path.suffix == ".npy":
+        np.save(path, metres)
+    elif path.suffix == ".npz":
+        np.savez_compressed(path, depth=metres, confidence=metres)
+    elif path.suffix == ".tiff":
+        Image.fromarray(metres).save(path)
+    else:
+        OpenEXR = pytest.importorskip("OpenEXR")
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {"Z": metres}).write(str(path))
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".tiff", ".exr"])
+def test_floats_are_metres_and_what_is_not_positive_is_unknown(tmp_path: Path, suffix: str) -> None:
+    metres = np.array([[1.5, 0.0, -1.0], [np.nan, np.inf, 300.25]], np.float32)
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth=f"depth{suffix}", domain="indoor")
+    write_float(tmp_path / f"depth{suffix}", metres)
+
+    sample = PairDataset(path)[0]
+
+    assert sample.target[0].tolist() == [[1.5, 0, 0], [0, 0, 300.25]]
+    assert sample.mask[0].tolist() == [[True, False, False], [False, False, True]]
+
+
+def test_floats_with_a_scale_are_divided_by_it(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((1, 2), np.uint16), depth="depth.npy", depth_scale=100, domain="indoor")
+    np.save(tmp_path / "depth.npy", np.array([[150.0, 25.0]]))
+    assert PairDataset(path)[0].target[0].tolist() == [[1.5, 0.25]]
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 1), (1, 2, 3)])
+def test_an_axis_of_one_is_dropped(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="depth.npy", domain="indoor")
+    np.save(tmp_path / "depth.npy", np.arange(1.0, 7.0).reshape(shape))
+    assert PairDataset(path)[0].target[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_maps_stored_column_by_column_are_read_as_they_were(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="depth.npy", domain="indoor")
+    np.save(tmp_path / "depth.npy", np.asfortranarray(np.arange(1.0, 7.0).reshape(2, 3)))
+    assert PairDataset(path)[0].target[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+def test_whole_numbers_of_which_nobody_says_the_unit_are_an_error(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((1, 2), np.uint16), depth="depth.npy", domain="indoor")
+    np.save(tmp_path / "depth.npy", np.array([[1500, 250]], np.uint16))
+    with pytest.raises(InputError, match=r"depth\.npy.*depth_scale"):
+        PairDataset(path)[0]
+    assert PairDataset(path, depth_scale=1000)[0].target[0].tolist() == [[1.5, 0.25]]
+
+
+def test_png_of_this_package_says_its_own_unit(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((1, 2), np.uint16), depth="depth.png", domain="indoor")
+    write_depth_png(tmp_path / "depth.png", np.array([[1.5, 200.0]], np.float32), scale=256)
+    assert PairDataset(path)[0].target[0].tolist() == [[1.5, 200]]
+    # What is said for files that do not say their own changes nothing.
+    assert PairDataset(path, depth_scale=1000)[0].target[0].tolist() == [[1.5, 200]]
+
+
+def test_what_the_line_says_goes_before_what_the_png_says(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((1, 1), np.uint16), depth="depth.png", depth_scale=512, domain="indoor")
+    write_depth_png(tmp_path / "depth.png", np.array([[3.0]], np.float32), scale=256)
+    assert PairDataset(path)[0].target.item() == 1.5
+
+
+def test_what_lines_leave_out_may_be_said_once(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.array([[500, 2000]], np.uint16), depth="target.png")
+    (tmp_path / "dataset.json").write_text(
+        '{"depth_scale": 1000, "domain": "garden", "fx": 5, "fy": 6, "cx": 7, "cy": 8}'
+    )
+    sample = PairDataset(path)[0]
+    assert sample.target[0].tolist() == [[0.5, 2]]
+    assert (sample.domain, sample.camera) == ("garden", Intrinsics(5, 6, 7, 8))
+    told = PairDataset(path, depth_scale=500, domain="cellar")  # who asks knows best
+    assert (told[0].target[0].tolist(), told.domains) == ([[1, 4]], ["cellar"])
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{", '{"depth_scale": "mm"}', '{"depth_scale": 0}', '{"domain": 3}', "[" * 9999]
+)
+def test_malformed_defaults_are_an_error_that_names_the_file(tmp_path: Path, text: str) -> None:
+    path = write_pair(tmp_path, np.ones((1, 1), np.uint16), depth="target.png", depth_scale=1, domain="indoor")
+    (tmp_path / "dataset.json").write_text(text)
+    with pytest.raises(InputError, match=r"dataset\.json"):
+        PairDataset(path)
+
+
+class Unpickled:
+    """Leaves a mark when it is unpickled."""
+
+    def __reduce__(self) -> tuple:
+        return Path.touch, (Path("unpickled"),)
+
+
+def test_pickled_objects_are_refused_and_not_executed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    row = {"depth": "depth.npy", "domain": "indoor"}
+    path = write_pair(tmp_path, np.ones((1, 1), np.uint16), **row)
+    np.save(tmp_path / "depth.npy", np.array([[Unpickled()]], object), allow_pickle=True)
+    with pytest.raises(InputError, match=r"depth\.npy"):
+        PairDataset(path)[0]
+    assert not Path("unpickled").exists()
+    np.load(tmp_path / "depth.npy", allow_pickle=True)  # or else nothing was shown
+    assert Path("unpickled").exists()
+
+
+def npy_header(shape: tuple[int, ...]) -> bytes:
+    """An .npy that says it holds as much, and holds nothing."""
+    file = BytesIO()
+    np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("shape", "word"),
+    [((10**6, 10**6), "more than"), ((2, 3, 4), "one map"), ((6,), "one map"), ((0, 5), "one map"), ((9, 9), "buffer")],
+)
+def test_map_that_is_not_what_it_promises_is_an_error(tmp_path: Path, shape: tuple[int, ...], word: str) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="depth.npy", domain="indoor")
+    (tmp_path / "depth.npy").write_bytes(npy_header(shape))
+    with pytest.raises(InputError, match=rf"depth\.npy.*{word}"):
+        PairDataset(path)[0]
+
+
+def test_archive_that_unpacks_to_far_more_than_its_map_is_not_unpacked(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="depth.npz", domain="indoor")
+    with zipfile.ZipFile(tmp_path / "depth.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("depth.npy", npy_header((2, 3)) + np.arange(1, 7, dtype="<f4").tobytes() + bytes(50_000_000))
+    tracemalloc.start()
+    try:
+        assert PairDataset(path)[0].target[0].tolist() == [[1, 2, 3], [4, 5, 6]]
+        assert tracemalloc.get_traced_memory()[1] < 5_000_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".tiff", ".exr"])
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.8])
+def test_damaged_depth_of_any_format_is_an_error_that_names_it(tmp_path: Path, suffix: str, kept: float) -> None:
+    path = write_pair(tmp_path, np.ones((40, 40), np.uint16), depth=f"depth{suffix}", domain="indoor")
+    file = tmp_path / f"depth{suffix}"
+    write_float(file, np.random.default_rng(0).random((40, 40), np.float32))
+    file.write_bytes(file.read_bytes()[: int(kept * file.stat().st_size)])
+    with pytest.raises(InputError, match=file.name):
+        PairDataset(path)[0]
+
+
+def test_format_nobody_keeps_depth_in_is_an_error(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="photo.jpg", depth_scale=1, domain="indoor")
+    with pytest.raises(InputError, match=r"photo\.jpg.*\.npz"):
+        PairDataset(path)[0]
+
+
+def test_line_without_end_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "train.csv").write_text("image,depth,depth_scale,domain\n" + "x" * 3_000_000)
+    with pytest.raises(InputError, match=r"train\.csv"):
+        PairDataset(tmp_path)

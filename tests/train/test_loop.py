@@ -154,7 +154,7 @@ def test_batch_norms_are_put_into_evaluation_and_still_learn() -> None:
 
 @pytest.fixture
 def run(make_config: MakeConfig, data: Data, tmp_path: Path) -> Run:
-    return Run(make_config(), part=lambda model: model, data=data, out=tmp_path, start=None, devices=1, n_nodes=1)
+    return Run(make_config(), part=lambda model: model, data=data, out=tmp_path, init=None, devices=1, n_nodes=1)
 
 
 def weights_of(run: Run) -> dict[str, torch.Tensor]:
@@ -236,7 +236,7 @@ def test_samples_of_a_run_do_not_depend_on_the_number_of_workers(
     for n_workers in (0, 2):
         config = make_config(n_workers=n_workers)
         out = tmp_path / str(n_workers)
-        with Run(config, part=lambda model: model, data=data, out=out, start=None, devices=1, n_nodes=1) as run:
+        with Run(config, part=lambda model: model, data=data, out=out, init=None, devices=1, n_nodes=1) as run:
             seen.append(list(run.batches()))
     assert len(seen[0]) == 4
     for first, second in zip(*seen, strict=True):

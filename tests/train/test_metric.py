@@ -65,7 +65,7 @@ def config(make_config: MakeConfig, tiny_config: ModelConfig) -> TrainConfig:
 def finished(config: TrainConfig, data: Data, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of that run, never interrupted, to be read only: checkpoints after steps 2 and 4."""
     out = tmp_path_factory.mktemp("finished")
-    train_metric(config, data=data, out=out, start=None)
+    train_metric(config, data=data, out=out, init=None)
     return out
 
 
@@ -90,7 +90,7 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
         name: write_pairs(tmp_path / name, n=1, size=(64, 64), domain=name) for name in ("indoor", "outdoor")
     }
 
-    last = train_metric(config, data=one_of_each, out=tmp_path / "out", start=None)
+    last = train_metric(config, data=one_of_each, out=tmp_path / "out", init=None)
 
     losses = [line["train/silog"] for line in log_of(tmp_path / "out")]
     assert len(losses) == 40
@@ -131,7 +131,7 @@ def test_other_routers_train(
 ) -> None:
     model = dataclasses.replace(tiny_config, router=RouterConfig(kind, width=16))
     config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0)
-    train_metric(config, data=data, out=tmp_path, start=None)
+    train_metric(config, data=data, out=tmp_path, init=None)
     assert [set(line) & {"train/silog", "train/domain"} for line in log_of(tmp_path)] == [{"train/silog"}] * 2
 
 
@@ -139,7 +139,7 @@ def test_model_of_one_domain_trains_on_any_data(
     make_config: MakeConfig, tiny_config: ModelConfig, data: Data, tmp_path: Path
 ) -> None:
     model = dataclasses.replace(tiny_config, domains=tiny_config.domains[1:])
-    last = train_metric(make_config(model=model, steps=1), data=data, out=tmp_path / "out", start=None)
+    last = train_metric(make_config(model=model, steps=1), data=data, out=tmp_path / "out", init=None)
     assert len(load_model(last).heads) == 1
 
 
@@ -148,7 +148,7 @@ def test_batches_of_one_data_set_each_alternate(
 ) -> None:
     read_domains = []
     read(monkeypatch, lambda sample: read_domains.append(sample.domain) or sample)
-    train_metric(make_config(mix_by="batch", batch_size=3), data=data, out=tmp_path / "out", start=None)
+    train_metric(make_config(mix_by="batch", batch_size=3), data=data, out=tmp_path / "out", init=None)
     assert read_domains == [*["indoor"] * 3, *["outdoor"] * 3] * 2
 
 
@@ -159,8 +159,8 @@ def test_same_seed_gives_the_same_result_and_another_seed_another(
     config: TrainConfig, data: Data, finished: Path, tmp_path: Path
 ) -> None:
     torch.rand(3)  # what was drawn before does not matter
-    again = train_metric(config, data=data, out=tmp_path / "again", start=None)
-    other = train_metric(dataclasses.replace(config, seed=1), data=data, out=tmp_path / "other", start=None)
+    again = train_metric(config, data=data, out=tmp_path / "again", init=None)
+    other = train_metric(dataclasses.replace(config, seed=1), data=data, out=tmp_path / "other", init=None)
 
     assert_same_checkpoint(finished / "step_000004", again)
     assert any(not torch.equal(value, weights(other)[name]) for name, value in weights(again).items())
@@ -169,7 +169,7 @@ def test_same_seed_gives_the_same_result_and_another_seed_another(
 def test_order_in_which_data_is_given_does_not_matter(
     config: TrainConfig, data: Data, finished: Path, tmp_path: Path
 ) -> None:
-    again = train_metric(config, data=dict(reversed(data.items())), out=tmp_path, start=None)
+    again = train_metric(config, data=dict(reversed(data.items())), out=tmp_path, init=None)
     assert_same_checkpoint(finished / "step_000004", again)
 
 
@@ -181,7 +181,7 @@ def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
     (out / "step_000004").rename(part)
     (part / "train.pt").write_bytes(b"half a file")
 
-    resumed = train_metric(config, data=data, out=out, start=None)
+    resumed = train_metric(config, data=data, out=out, init=None)
 
     assert resumed == out / "step_000004"
     assert_same_checkpoint(finished / "step_000004", resumed)
@@ -205,11 +205,11 @@ def test_interrupted_run_keeps_its_checkpoints_and_goes_on(
     with monkeypatch.context() as patch:
         read(patch, interrupt)
         with pytest.raises(KeyboardInterrupt):
-            train_metric(config, data=data, out=tmp_path, start=None)
+            train_metric(config, data=data, out=tmp_path, init=None)
     assert [path.name for path in checkpoints(tmp_path)] == ([] if after == 1 else ["step_000002"])
     assert [line["step"] for line in log_of(tmp_path)] == list(range(1, after + 1))
 
-    resumed = train_metric(config, data=data, out=tmp_path, start=None)
+    resumed = train_metric(config, data=data, out=tmp_path, init=None)
     assert_same_checkpoint(finished / "step_000004", resumed)
     assert [line["step"] for line in log_of(tmp_path)] == [1, 2, 3, 4]
 
@@ -217,7 +217,7 @@ def test_interrupted_run_keeps_its_checkpoints_and_goes_on(
 def test_finished_run_is_left_as_it_is(config: TrainConfig, data: Data, out: Path) -> None:
     last = out / "step_000004"
     before = (last / "train.pt").read_bytes()
-    assert train_metric(config, data=data, out=out, start="not read when resuming") == last
+    assert train_metric(config, data=data, out=out, init="not read when resuming") == last
     assert (last / "train.pt").read_bytes() == before
     assert [line["step"] for line in log_of(out)] == [1, 2, 3, 4]
 
@@ -225,7 +225,7 @@ def test_finished_run_is_left_as_it_is(config: TrainConfig, data: Data, out: Pat
 def test_line_of_the_log_that_was_cut_off_does_not_hinder_resuming(config: TrainConfig, data: Data, out: Path) -> None:
     with (out / "log.jsonl").open("a") as file:
         file.write('{"step": 5, "train/si')
-    train_metric(config, data=data, out=out, start=None)
+    train_metric(config, data=data, out=out, init=None)
     assert [line["step"] for line in log_of(out)] == [1, 2, 3, 4]
 
 
@@ -234,7 +234,7 @@ def test_run_of_another_configuration_is_refused_and_the_field_named(
 ) -> None:
     before = (out / "step_000004" / "train.pt").read_bytes()
     with pytest.raises(InputError, match="batch_size"):
-        train_metric(dataclasses.replace(config, batch_size=4), data=data, out=out, start=None)
+        train_metric(dataclasses.replace(config, batch_size=4), data=data, out=out, init=None)
     assert (out / "step_000004" / "train.pt").read_bytes() == before
 
 
@@ -254,7 +254,7 @@ def test_result_is_the_moving_average_and_loads_like_any_model(config: TrainConf
 
 def test_checkpoints_come_at_their_steps_and_at_the_end(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
     config = make_config(steps=5, checkpoint_every=4, log_every=2)
-    last = train_metric(config, data=data, out=tmp_path, start=None)
+    last = train_metric(config, data=data, out=tmp_path, init=None)
     assert last == tmp_path / "step_000005"
     assert [path.name for path in checkpoints(tmp_path)] == ["step_000004", "step_000005"]
     assert [line["step"] for line in log_of(tmp_path)] == [2, 4, 5]
@@ -267,7 +267,7 @@ def test_held_out_photos_are_validated_not_trained_on(
     names: list[str] = []
     read(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
     config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2, pictures=0)
-    train_metric(config, data=data, out=tmp_path, start=None)
+    train_metric(config, data=data, out=tmp_path, init=None)
 
     lines = [line for line in log_of(tmp_path) if "validation/indoor/rel" in line]
     assert [line["step"] for line in lines] == [2, 3]
@@ -287,7 +287,7 @@ def test_held_out_photos_without_truth_do_not_stop_the_training(make_config: Mak
     # Smaller than the Eigen crop's corner: no pixel of it is scored.
     small = write_pairs(tmp_path / "small", n=2, size=(40, 40))
     config = make_config(steps=1, holdout=1)
-    last = train_metric(config, data={"indoor": small}, out=tmp_path / "out", start=None)
+    last = train_metric(config, data={"indoor": small}, out=tmp_path / "out", init=None)
     assert last.name == "step_000001"
 
 
@@ -303,7 +303,7 @@ def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_int
 
     read(monkeypatch, spoil)
     with pytest.raises(TrainingError, match="step 4") as raised:
-        train_metric(config, data=data, out=tmp_path, start=None)
+        train_metric(config, data=data, out=tmp_path, init=None)
 
     assert all(name in str(raised.value) for name in names[6:8])
     (kept,) = checkpoints(tmp_path)
@@ -320,13 +320,13 @@ def test_depth_that_is_not_a_number_is_unknown(
         return dataclasses.replace(sample, target=target)
 
     read(monkeypatch, spoil)
-    last = train_metric(make_config(steps=2), data=data, out=tmp_path, start=None)
+    last = train_metric(make_config(steps=2), data=data, out=tmp_path, init=None)
     assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
 
 
 def test_photos_without_any_depth_leave_a_finite_model(make_config: MakeConfig, tmp_path: Path) -> None:
     empty = write_pairs(tmp_path / "empty", n=2, without_truth=(0, 1))
-    last = train_metric(make_config(steps=2), data={"indoor": empty}, out=tmp_path / "out", start=None)
+    last = train_metric(make_config(steps=2), data={"indoor": empty}, out=tmp_path / "out", init=None)
     assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
 
 
@@ -349,7 +349,7 @@ def test_batch_norm_statistics_stay_where_they_are_frozen(
     save_model(start, tmp_path / "start.safetensors")
     config = make_config(model=lite_config, steps=2, freeze_batch_norm=frozen, ema_decay=None)
 
-    last = train_metric(config, data=data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+    last = train_metric(config, data=data, out=tmp_path / "out", init=str(tmp_path / "start.safetensors"))
 
     before, after = start.state_dict(), load_model(last).state_dict()
     statistics = [name for name in before if "running_" in name]
@@ -365,7 +365,7 @@ def test_frozen_encoder_stays_while_the_rest_learns(make_config: MakeConfig, dat
     start = ZoeDepth(config.model)
     save_model(start, tmp_path / "start.safetensors")
 
-    last = train_metric(config, data=data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+    last = train_metric(config, data=data, out=tmp_path / "out", init=str(tmp_path / "start.safetensors"))
 
     model = load_model(last)
     for name, value in start.encoder.state_dict().items():

@@ -45,7 +45,7 @@ def all_data(data: Data, stills: Path) -> Data:
 def finished(config: TrainConfig, all_data: Data, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run, never interrupted, to be read only: checkpoints after steps 2 and 4."""
     out = tmp_path_factory.mktemp("finished")
-    train_relative(config, data=all_data, out=out, start=None)
+    train_relative(config, data=all_data, out=out, init=None)
     return out
 
 
@@ -64,7 +64,7 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
         "relative": write_disparity_pairs(tmp_path / "stills", n=1, size=(64, 64)),
     }
 
-    last = train_relative(config, data=data, out=tmp_path / "out", start=None)
+    last = train_relative(config, data=data, out=tmp_path / "out", init=None)
 
     losses = [line["train/ssi"] for line in log_of(tmp_path / "out")]
     assert sum(losses[-5:]) < 0.5 * sum(losses[:5])
@@ -99,7 +99,7 @@ def test_loss_is_the_scale_and_shift_invariant_one_with_the_configured_terms(
     start = ZoeDepth(config.model).train()
     save_model(start, tmp_path / "start.safetensors")
 
-    train_relative(config, data={"relative": path}, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+    train_relative(config, data={"relative": path}, out=tmp_path / "out", init=str(tmp_path / "start.safetensors"))
 
     target = torch.tensor(stored)[None, None].float()
     with torch.no_grad():
@@ -115,7 +115,7 @@ def test_heads_and_router_are_left_as_they_are(config: TrainConfig, all_data: Da
     config = dataclasses.replace(config, ema_decay=None)
     start = ZoeDepth(config.model)
     save_model(start, tmp_path / "start.safetensors")
-    last = train_relative(config, data=all_data, out=tmp_path / "out", start=str(tmp_path / "start.safetensors"))
+    last = train_relative(config, data=all_data, out=tmp_path / "out", init=str(tmp_path / "start.safetensors"))
 
     before, after = start.state_dict(), load_model(last).state_dict()
     changed = {name.split(".")[0] for name in before if not torch.equal(before[name], after[name])}
@@ -130,7 +130,7 @@ def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
     shutil.copytree(finished / "step_000004", out / ".step_000004.part")
     (out / ".step_000004.part" / "train.pt").write_bytes(b"half a file")
 
-    resumed = train_relative(config, data=all_data, out=out, start=None)
+    resumed = train_relative(config, data=all_data, out=out, init=None)
 
     assert resumed == out / "step_000004"
     saved = [torch.load(folder / "step_000004" / "train.pt", weights_only=True) for folder in (finished, out)]
@@ -144,7 +144,7 @@ def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
 def test_result_starts_the_second_stage(make_config: MakeConfig, data: Data, finished: Path, tmp_path: Path) -> None:
     # A rate of nearly nothing shows where the second stage starts from.
     config = make_config(steps=1, ema_decay=None, optim=OptimConfig(learning_rate=1e-12))
-    last = train_metric(config, data=data, out=tmp_path, start=str(finished / "step_000004"))
+    last = train_metric(config, data=data, out=tmp_path, init=str(finished / "step_000004"))
     first, second = load_model(finished / "step_000004"), load_model(last)
     for part in ("encoder", "decoder"):
         for name, value in getattr(first, part).state_dict().items():
@@ -154,7 +154,7 @@ def test_result_starts_the_second_stage(make_config: MakeConfig, data: Data, fin
 def test_depth_of_an_unknown_domain_is_welcome(make_config: MakeConfig, tmp_path: Path) -> None:
     path = write_pairs(tmp_path / "attic", n=2, domain="outdoor")
     path.write_text(path.read_text().replace("outdoor", "attic"))
-    train_relative(make_config("relative", steps=1), data={"relative": path}, out=tmp_path / "out", start=None)
+    train_relative(make_config("relative", steps=1), data={"relative": path}, out=tmp_path / "out", init=None)
     assert log_of(tmp_path / "out")[0]["train/ssi"] > 0
 
 
@@ -171,5 +171,5 @@ def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_int
 
     monkeypatch.setattr(PairDataset, "__getitem__", spoil)
     with pytest.raises(TrainingError, match=r"step 3.*\.jpg"):
-        train_relative(config, data=all_data, out=tmp_path, start=None)
+        train_relative(config, data=all_data, out=tmp_path, init=None)
     assert all(value.isfinite().all() for value in load_model(tmp_path / "step_000002").state_dict().values())

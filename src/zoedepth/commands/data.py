@@ -1,24 +1,269 @@
-"""``--data NAME=PATH``, as several commands read it."""
+"""``zoedepth data``: what data sets there are, and whether a download is in order. And ``--data NAME=PATH``, as several
+commands read it.
+"""
 
-from collections.abc import Sequence
+import json
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
+import tyro
+
+from zoedepth.commands.shard import shard
 from zoedepth.errors import InputError
 
+if TYPE_CHECKING:
+    from rich.console import Console
 
-def named_paths(values: Sequence[str]) -> dict[str, Path]:
-    """NAME=PATH arguments as a dict; a bare PATH is named after its last folder.
+    from zoedepth.data.check import Report
+    from zoedepth.data.pairs import PairDataset
+    from zoedepth.datasets.published import About, PublishedDataset
+
+EXIT_NOT_IN_ORDER = 1
+_MOST_NAMED = 10
+"""Missing files that are named, of what may be a whole archive."""
+
+
+def data(arguments: Sequence[str]) -> int:
+    """Run a sub-command of :data:`SUBCOMMANDS`."""
+    return tyro.extras.subcommand_cli_from_dict(SUBCOMMANDS, args=list(arguments), prog="zoedepth data")
+
+
+def list_(*, markdown: bool = False, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
+    """List the published data sets that can be read: what each is, how many pairs it has, its licence and page.
+
+    Args:
+        markdown: print the table and the folders for the documentation.
+        json_: print one JSON object for each data set, and nothing else.
+    """
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    from zoedepth.datasets import DATASETS
+
+    if markdown:
+        print(_markdown(DATASETS))
+        return 0
+    if json_:
+        for name, dataset in DATASETS.items():
+            print(json.dumps({"name": name, **asdict(dataset.about)}))
+        return 0
+    table = Table("name", "title", "target", "domain", "pairs", "licence", "page")
+    for name, dataset in DATASETS.items():
+        about = dataset.about
+        cells = (name, about.title, about.kind, about.domain, _pairs(about), about.licence, about.page)
+        table.add_row(*map(Text, cells))
+    console = Console(highlight=False)
+    console = console if console.is_terminal else Console(highlight=False, width=220)
+    console.print(table)
+    return 0
+
+
+def check(
+    what: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="NAME|PATH")]],
+    folder: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="[FOLDER]")]] = None,
+    *,
+    split: str | None = None,
+    sheet: Path | None = None,
+    every: bool = False,
+    json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
+) -> int:
+    """Is a download complete and readable, and is its depth what it should be?
+
+    Counts, missing and unreadable files, sizes, range of depth, and a picture to look at. Exit codes: 0 in order, 1 not
+    (it says why), 2 not such a folder at all.
+
+    Args:
+        what: a name of `zoedepth data list`, and then its folder; or a list or folder of your own pairs.
+        folder: of the published data set, as `zoedepth data list` names it.
+        split: one of its splits, or the list in your own folder; None: the first, train where there is one.
+        sheet: write a picture of some pairs: .jpg, .png or .webp.
+        every: read every pair, not 50 evenly spread.
+        json_: print one JSON object, and nothing else.
+    """
+    from rich.console import Console
+    from rich.progress import track
+
+    from zoedepth.data.check import check as check_pairs
+    from zoedepth.data.check import contact_sheet
+    from zoedepth.datasets.published import PublishedDataset
+    from zoedepth.images import PICTURE_SUFFIXES, write_image
+
+    if sheet is not None and sheet.suffix.lower() not in PICTURE_SUFFIXES:
+        raise InputError(f"--sheet {sheet}: use one of {', '.join(PICTURE_SUFFIXES)}")
+    dataset = _open_published(what, folder, split) if folder is not None else _open_pairs(what, split)
+    about = dataset.about if isinstance(dataset, PublishedDataset) else None
+    console = Console(stderr=True, highlight=False)
+
+    def progress(indices: Sequence[int]) -> Iterator[int]:
+        return iter(track(indices, "reading", console=console, transient=True, disable=not console.is_terminal))
+
+    report = check_pairs(dataset, every=every, track=progress)
+    path = str(dataset.root if isinstance(dataset, PublishedDataset) else dataset.path)
+    used = dataset.split if isinstance(dataset, PublishedDataset) else None
+    if json_:
+        print(json.dumps(_record(report, about, path=path, split=used)))
+    else:
+        _print(report, about, path=path, split=used)
+    if sheet is not None and report.readable:
+        write_image(sheet, contact_sheet(dataset, report.readable))
+        console.print(f"Picture: {sheet}", soft_wrap=True, markup=False)
+    return EXIT_NOT_IN_ORDER if report.problems else 0
+
+
+SUBCOMMANDS: dict[str, Callable[..., int]] = {"list": list_, "check": check, "shard": shard}
+"""Name → function; its signature is its options."""
+
+
+def named_sources(values: Sequence[str]) -> dict[str, str]:
+    """NAME=SOURCE arguments as a dict; a bare SOURCE is named after its file's folder, its folder, or its scheme.
 
     Raises:
         InputError: a name is empty or given twice.
     """
-    named: dict[str, Path] = {}
+    named: dict[str, str] = {}
     for value in values:
-        name, separator, path = value.partition("=")
-        if not separator:
-            file = Path(value)
-            name, path = (file.parent.name if file.suffix == ".csv" else file.name) or file.stem, value
-        if not name or not path or name in named:
-            raise InputError(f"{value!r}: give NAME=PATH, each name once")
-        named[name] = Path(path)
+        found = re.fullmatch(r"([^=:?]*)=(.*)", value)
+        name, source = found.groups() if found else (_own_name(value), value)
+        if not name or not source or name in named:
+            raise InputError(f"{value!r}: give NAME=SOURCE, each name once")
+        named[name] = source
     return named
+
+
+def _own_name(source: str) -> str:
+    scheme, colon, rest = source.partition(":")
+    if colon and scheme in ("synthetic", "hf", "http", "https"):
+        return scheme if scheme == "synthetic" else Path(re.split(r"[?@:]", rest)[0]).name
+    path = Path(source)
+    return (path.parent.name if path.suffix in (".csv", ".jsonl", ".txt") else path.name) or path.stem
+
+
+def named_paths(values: Sequence[str]) -> dict[str, Path]:
+    """NAME=FOLDER arguments as a dict, likewise."""
+    return {name: Path(source) for name, source in named_sources(values).items()}
+
+
+def _open_published(name: str, folder: Path, split: str | None) -> "PublishedDataset":
+    from zoedepth.datasets import DATASETS
+
+    if name not in DATASETS:
+        raise InputError(f"there is no data set {name!r}; there are {', '.join(DATASETS)}")
+    dataset = DATASETS[name]
+    return dataset(folder, split=split or next(iter(dataset.about.splits)), allow_missing=True)
+
+
+def _open_pairs(path: str, split: str | None) -> "PairDataset":
+    from zoedepth.data.pairs import PairDataset
+    from zoedepth.datasets import DATASETS
+
+    if path in DATASETS and not Path(path).exists():
+        raise InputError(f"say where it is: zoedepth data check {path} FOLDER")
+    return PairDataset(path, split=split or "train", allow_missing=True)
+
+
+def _print(report: "Report", about: "About | None", *, path: str, split: str | None) -> None:
+    """The report as a table, then everything that is wrong by name."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
+    title = f"{about.title}, split {split}, in {path}" if about else path
+    table = Table(title=Text(title), title_justify="left", show_header=False)
+    for key, value in _rows(report, about):
+        table.add_row(key, Text(value))
+    console.print(table)
+    for file in report.missing[:_MOST_NAMED]:
+        _say(console, f"missing: {file}")
+    if len(report.missing) > _MOST_NAMED:
+        _say(console, f"missing: and {len(report.missing) - _MOST_NAMED:,} more")
+    for problem in report.unreadable:
+        _say(console, f"unreadable: {problem}")
+    for name in report.empty[:_MOST_NAMED]:
+        _say(console, f"nothing known: {name}")
+    if not report.problems:
+        _say(console, "In order.")
+        return
+    _say(console, f"Not in order: {'; '.join(report.problems)}.")
+    if about:
+        _say(console, f"Get it at {about.page}")
+
+
+def _say(console: "Console", text: str) -> None:
+    console.print(text, soft_wrap=True, markup=False)
+
+
+def _rows(report: "Report", about: "About | None") -> Iterator[tuple[str, str]]:
+    published = "" if report.n_published is None else f" of {report.n_published:,} published"
+    yield "pairs", f"{report.n_pairs:,}{published}"
+    if report.n_without_truth:
+        yield "without depth", f"{report.n_without_truth:,}, by its own list"
+    yield "missing files", f"{len(report.missing):,}"
+    yield "pairs read", f"{len(report.readable):,}"
+    yield "unreadable", f"{len(report.unreadable):,}"
+    sizes = [f"{width} x {height} ({n:,})" for (height, width), n in report.photo_sizes.items()]
+    more = f" and {len(sizes) - 5:,} more" if len(sizes) > 5 else ""
+    yield "photo sizes", (", ".join(sizes[:5]) + more) or "-"
+    if report.values is not None:
+        values, unit = report.values, " m" if report.kind == "depth" else ""
+        yield str(report.kind), f"{values.least:.4g} to {values.greatest:.4g}{unit}"
+        spread = f"{values.low:.4g}, {values.median:.4g}, {values.high:.4g}{unit}"
+        yield "1st, 50th, 99th percentile", spread
+    yield "known pixels", f"{report.known:.1%}"
+    if report.empty:
+        yield "pairs with nothing known", f"{len(report.empty):,}"
+    yield "camera known", f"{report.n_cameras:,} of {len(report.readable):,}"
+    if about:
+        yield "stored as", about.unit
+        yield "licence", about.licence
+        yield "page", about.page
+
+
+def _record(report: "Report", about: "About | None", *, path: str, split: str | None) -> dict:
+    facts = {} if about is None else {"title": about.title, "licence": about.licence, "page": about.page}
+    return {
+        **facts,
+        "path": path,
+        "split": split,
+        "kind": report.kind,
+        "pairs": report.n_pairs,
+        "published": report.n_published,
+        "without_truth": report.n_without_truth,
+        "missing": len(report.missing),
+        "first_missing": [str(file) for file in report.missing[:_MOST_NAMED]],
+        "read": len(report.readable),
+        "unreadable": list(report.unreadable),
+        "photo_sizes": [{"height": h, "width": w, "photos": n} for (h, w), n in report.photo_sizes.items()],
+        "values": None if report.values is None else asdict(report.values),
+        "known": report.known,
+        "nothing_known": list(report.empty),
+        "cameras": report.n_cameras,
+        "problems": report.problems,
+    }
+
+
+def _pairs(about: "About") -> str:
+    """Pairs of each split: "24,231 train, 654 test"."""
+    return ", ".join(f"{'?' if n is None else f'{n:,}'} {split}" for split, n in about.splits.items())
+
+
+def _markdown(datasets: "dict[str, type[PublishedDataset]]") -> str:
+    """The table of the documentation, and below it each set's folder."""
+    lines = ["| name | what | target | domain | stored as | pairs | licence |", "| --- " * 7 + "|"]
+    sections = []
+    for name, dataset in datasets.items():
+        about = dataset.about
+        cells = (about.kind, about.domain or "both", about.unit, _pairs(about), about.licence)
+        lines.append(f"| [`{name}`](#{name}) | [{about.title}]({about.page}) | {' | '.join(cells)} |")
+        sections.append(f"### {name}\n\n{_prose(dataset)}\n\n```text\n{about.layout.strip()}\n```")
+    return "\n\n".join(["\n".join(lines), *sections])
+
+
+def _prose(dataset: "type[PublishedDataset]") -> str:
+    from inspect import cleandoc
+
+    return cleandoc(dataset.__doc__ or "").replace("``", "`")

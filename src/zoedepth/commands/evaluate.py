@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from zoedepth.commands.data import named_paths
+from zoedepth.commands.data import named_paths, named_sources
 from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import Protocol, find_protocol, protocol_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from zoedepth.data.pairs import PairDataset
+    from zoedepth.data.sample import DepthDataset
     from zoedepth.evaluation.evaluate import Processes
     from zoedepth.evaluation.predictions import Source
     from zoedepth.evaluation.scoring import Score
@@ -54,7 +54,8 @@ def evaluate(
     torchrun the processes share the images. An interrupted run with --out goes on when the command is typed again.
 
     Args:
-        data: CSV files, or folders with a test.csv; PATH or NAME=PATH.
+        data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md), or the official folder
+            of a published data set under its name: nyu=DIR.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or LABEL=any of them; give
             the option again for more models. None, and nothing else to score: zoed-lite.
         predictions: NAME=FOLDER with somebody's depth maps (.png, .npy, .npz), found by the photos' names.
@@ -96,7 +97,8 @@ def evaluate(
     if out is not None and pictures:
         require_matplotlib()
     processes = _join(Processes.from_environment(), out)
-    sets = {name: _open(path) for name, path in named_paths(data).items()}
+    given = named_sources(data)
+    sets = {name: _open(name, source) for name, source in given.items()}
     protocols = _protocols(sets, protocol, changes)
     sources = _sources(model, predictions, trivial, protocols, compat=compat, device=device)
     summaries: list[Summary] = []
@@ -110,7 +112,7 @@ def evaluate(
                 dataset,
                 protocols[name],
                 folder=folder,
-                about={"source": label, **about, "data": str(dataset.path), "list": _fingerprint(dataset.path)},
+                about={"source": label, **about, "data": given[name], "list": _content(given[name])},
                 processes=processes,
                 track=lambda indices, label=label, name=name: _track(console, indices, f"{label} on {name}"),
             )
@@ -151,17 +153,24 @@ def evaluate(
     return 1 if failed else 0
 
 
-def _open(path: Path) -> "PairDataset":
-    from zoedepth.data.pairs import PairDataset
+def _open(name: str, source: str) -> "DepthDataset":
+    from zoedepth.data.open import open_dataset
 
-    dataset = PairDataset(path, split="test", allow_missing=True)
+    dataset = open_dataset(source, name=name, split="test", allow_missing=True)
     if "disparity" in dataset.kinds:
-        raise InputError(f"{dataset.path} has disparity, in which there are no metres to score")
+        raise InputError(f"{source} has disparity, in which there are no metres to score")
     return dataset
 
 
+def _content(source: str) -> str | None:
+    """What tells one list of photos from another of the same name; None where there is no list."""
+    path = Path(source)
+    found = path / "test.csv" if path.is_dir() else path
+    return _fingerprint(found) if found.is_file() else None
+
+
 def _protocols(
-    sets: "Mapping[str, PairDataset]", wanted: Sequence[str], changes: Mapping[str, object]
+    sets: "Mapping[str, DepthDataset]", wanted: Sequence[str], changes: Mapping[str, object]
 ) -> dict[str, dict[str, Protocol]]:
     """Data set → domain → protocol. The one given for a data set goes before the one for all."""
     given = {data: find_protocol(value) for data, _, value in (entry.rpartition("=") for entry in wanted)}
@@ -185,7 +194,7 @@ def _sources(
     device: str,
 ) -> "dict[str, tuple[Source, dict[str, object]]]":
     """Label → source, and what its scores depend on."""
-    from zoedepth.data.pairs import PairDataset
+    from zoedepth.data.open import open_dataset
     from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
     from zoedepth.predict import Predictor
     from zoedepth.pretrained import find, load_model
@@ -209,18 +218,22 @@ def _sources(
         add(label, FolderSource(folder), {"folder": str(folder)})
     if trivial:
         by_domain = {domain: protocol for used in protocols.values() for domain, protocol in used.items()}
-        training = [PairDataset(path, split="train") for path in trivial]
-        names = {str(dataset.path): _fingerprint(dataset.path) for dataset in training}
+        training = [open_dataset(path, split="train") for path in trivial]
+        names = {str(path): _content(str(path)) for path in trivial}
         for label, kind in (("best constant", ConstantSource), ("mean depth map", MeanMapSource)):
             samples = (sample for dataset in training for sample in _samples(dataset, by_domain))
             add(label, kind(samples, by_domain), {"training": names})
     return found
 
 
-def _samples(dataset: "PairDataset", protocols: Mapping[str, Protocol]) -> Iterator:
+def _samples(dataset: "DepthDataset", protocols: Mapping[str, Protocol]) -> Iterator:
     """Training samples of the domains that are evaluated."""
-    wanted = (i for i, pair in enumerate(dataset.pairs) if pair.kind == "depth" and pair.domain in protocols)
-    return (dataset[index] for index in wanted)
+    if not set(dataset.domains) & protocols.keys():
+        return
+    for index in range(len(dataset)):
+        sample = dataset[index]
+        if sample.kind == "depth" and sample.domain in protocols:
+            yield sample
 
 
 def _fingerprint(path: Path) -> str:
@@ -265,7 +278,7 @@ def _meet(scores: "dict[int, Score]", folder: Path | None, processes: "Processes
 
 def _examples(
     source: "Source",
-    dataset: "PairDataset",
+    dataset: "DepthDataset",
     scores: "dict[int, Score]",
     protocols: Mapping[str, Protocol],
     label: str,

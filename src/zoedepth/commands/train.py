@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from zoedepth.commands.data import named_paths
+from zoedepth.commands.data import named_sources
 from zoedepth.errors import InputError
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import TrainConfig
@@ -17,10 +17,11 @@ class Run:
     """What a run needs beside its recipe."""
 
     data: tuple[str, ...]
-    """NAME=PATH of each data set: NAME is a source of the recipe, PATH a CSV file or a folder with train.csv."""
+    """NAME=SOURCE of each data set: NAME is a source of the recipe; SOURCE is a list, a folder, shards, a published
+    data set's folder, hf:OWNER/NAME or synthetic:all (docs/your-data.md)."""
     out: Path
     """The run's folder: checkpoints, log.jsonl, TensorBoard. An unfinished run in it goes on."""
-    start: str | None = None
+    init: str | None = None
     """Starting weights: "imagenet", a model's name, a .safetensors file or the folder of a checkpoint."""
     devices: int | None = None
     """Processes on this machine, one a GPU (or, on the CPU, one a group of cores); under torchrun, its own number."""
@@ -33,7 +34,7 @@ class Run:
 def train(arguments: Sequence[str]) -> int:
     """Train a recipe; what stands in --out is gone on with."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print("usage: zoedepth train RECIPE --data NAME=PATH ... --out DIR [--start WEIGHTS] [--config.FIELD VALUE]")
+        print("usage: zoedepth train RECIPE --data NAME=PATH ... --out DIR [--init WEIGHTS] [--config.FIELD VALUE]")
         print(f"\nrecipes: {', '.join(RECIPES)}     (zoedepth train RECIPE --help for all fields)")
         return 0 if arguments else 2
     name, *rest = arguments
@@ -52,7 +53,7 @@ def train(arguments: Sequence[str]) -> int:
     else:
         from zoedepth.train.metric import train_metric as run_stage
     last = run_stage(
-        run.config, data=named_paths(run.data), out=run.out, start=run.start, devices=run.devices, n_nodes=run.nodes
+        run.config, data=named_sources(run.data), out=run.out, init=run.init, devices=run.devices, n_nodes=run.nodes
     )
     print(last)
     return 0

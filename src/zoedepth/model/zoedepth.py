@@ -95,7 +95,7 @@ class ZoeDepth(nn.Module):
         if not self.config.domains:
             raise InputError(
                 "this model has no metric head, it gives relative depth only: use model.relative(pixels) or "
-                "Predictor.relative(photo), or train metric heads on it (zoedepth train --start)"
+                "Predictor.relative(photo), or train metric heads on it (zoedepth train --init)"
             )
         self._check(pixels, domain)
         size = pixels.shape[-2:]

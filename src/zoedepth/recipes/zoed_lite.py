@@ -22,7 +22,7 @@ _OUTDOOR = replace(_INDOOR, name="outdoor", weight=1, kitti_crop=True, max_zoom=
 def relative() -> TrainConfig:
     """Stage 1: from ImageNet weights, on depth and disparity together.
 
-    ``zoedepth train zoed_lite_relative --data indoor=nyu outdoor=kitti relative=relative --out runs/relative --start
+    ``zoedepth train zoed_lite_relative --data indoor=nyu outdoor=kitti relative=relative --out runs/relative --init
     imagenet``: 17 minutes on two cores (AVX-512, AMX); the loss ends near 0.41.
     """
     return TrainConfig(
@@ -37,7 +37,7 @@ def relative() -> TrainConfig:
 def metric() -> TrainConfig:
     """Stage 2: from stage 1.
 
-    ``zoedepth train zoed_lite --data indoor=nyu outdoor=kitti --out runs/lite --start runs/relative/step_000250``: 64
+    ``zoedepth train zoed_lite --data indoor=nyu outdoor=kitti --out runs/lite --init runs/relative/step_000250``: 64
     minutes on two cores (AVX-512, AMX), busy with other work as well. NYU test REL 0.179, delta1 0.742 (795 training
     images); KITTI 2015 later drives REL 0.123, delta1 0.833 (110 training images).
     """

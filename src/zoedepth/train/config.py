@@ -63,6 +63,8 @@ class OptimConfig:
     """The last rate is the first divided by this."""
     momentum: tuple[float, float] = (0.85, 0.95)
     """AdamW's first beta: lowest where the rate is highest, and the other way round."""
+    eps: float = 1e-8
+    """Added to AdamW's denominator; BTS trains with 1e-3."""
     clip: float = 0.1
     """Largest norm of all gradients together."""
 

@@ -36,7 +36,7 @@ class Run:
         part: the part of the model that is trained; the network of the run.
         data: NAME of a source of the recipe → where its data is.
         out: the run's folder.
-        start: starting weights, see :func:`zoedepth.train.start.start_from`; not read when resuming.
+        init: starting weights, see :func:`zoedepth.train.start.start_from`; not read when resuming.
         devices, n_nodes: processes on each machine, machines; see :func:`zoedepth.train.processes.launch_fabric`.
     """
 
@@ -47,7 +47,7 @@ class Run:
         part: Callable[[ZoeDepth], nn.Module],
         data: Mapping[str, str | Path],
         out: Path,
-        start: str | None,
+        init: str | None,
         devices: int | None,
         n_nodes: int,
     ) -> None:
@@ -60,7 +60,7 @@ class Run:
 
         model = ZoeDepth(config.model).to(memory_format=torch.channels_last)
         finished = checkpoints(out)
-        started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, start)
+        started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
         if config.gradient_checkpointing:
             model.encoder.network.checkpoint_gradients()
         network = part(model)

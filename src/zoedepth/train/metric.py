@@ -19,14 +19,12 @@ def train_metric(
     *,
     data: Mapping[str, str | Path],
     out: Path,
-    start: str | None = None,
+    init: str | None = None,
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
     """Train, or go on with what is in ``out``; returns the last checkpoint. For the arguments see :class:`Run`."""
-    with Run(
-        config, part=lambda model: model, data=data, out=out, start=start, devices=devices, n_nodes=n_nodes
-    ) as run:
+    with Run(config, part=lambda model: model, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
         for batch in run.batches():
             output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
             terms = metric_losses(output, batch, domain_weight=config.domain_weight)

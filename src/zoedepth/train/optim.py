@@ -35,6 +35,7 @@ def build_optimizer(model: nn.Module, config: OptimConfig) -> AdamW:
             if parameters
         ],
         betas=(config.momentum[1], 0.999),
+        eps=config.eps,
         weight_decay=config.weight_decay,
     )
 

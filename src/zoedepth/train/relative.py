@@ -36,7 +36,7 @@ def train_relative(
     *,
     data: Mapping[str, str | Path],
     out: Path,
-    start: str | None = None,
+    init: str | None = None,
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
@@ -44,7 +44,7 @@ def train_relative(
 
     Data of depth and of disparity are both welcome. For the arguments see :class:`Run`.
     """
-    with Run(config, part=RelativeModel, data=data, out=out, start=start, devices=devices, n_nodes=n_nodes) as run:
+    with Run(config, part=RelativeModel, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
         state = run.state
         for batch in run.batches():
             relative = run.network(batch.pixels)

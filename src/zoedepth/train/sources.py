@@ -3,21 +3,26 @@
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
+from typing import cast
 
 import numpy as np
-from torch.utils.data import Subset
+from torch.utils.data import Dataset, Subset
 
 from zoedepth.data import augment
-from zoedepth.data.pairs import PairDataset
-from zoedepth.data.sample import Sample
+from zoedepth.data.open import open_dataset
+from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.train.config import SourceConfig, TrainConfig
+
+
+class _Mapped(Dataset[Sample], DepthDataset):
+    """What ``Subset`` takes: torch's class has no more than the protocol."""
 
 
 def load_sources(
     config: TrainConfig, data: Mapping[str, str | Path]
 ) -> tuple[list[tuple[SourceConfig, "Subset[Sample]"]], dict[str, "Subset[Sample]"]]:
-    """(what to train on with its config, what to validate on by name), from ``--data NAME=PATH``.
+    """(what to train on with its config, what to validate on by name), from ``--data NAME=SOURCE``.
 
     Raises:
         InputError: a name is not one of the recipe's sources, or the data does not suit the stage.
@@ -26,18 +31,18 @@ def load_sources(
     if unknown := sorted(set(data) - set(known)):
         raise InputError(f"unknown data {unknown}: this recipe has the sources {sorted(known)}")
     if not data:
-        raise InputError(f"no data: give --data NAME=PATH for one or more of {sorted(known)}")
+        raise InputError(f"no data: give --data NAME=SOURCE for one or more of {sorted(known)}")
     training, validation = [], {}
     for name in (source.name for source in config.sources if source.name in data):  # not the order of the command line
-        dataset = PairDataset(data[name], split="train")
+        dataset = cast(_Mapped, open_dataset(data[name], name=name, split="train"))
         if config.stage == "metric" and "disparity" in dataset.kinds:
-            raise InputError(f"{dataset.path} has disparity; stage 2 needs depth in metres")
+            raise InputError(f"{data[name]} has disparity; stage 2 needs depth in metres")
         domains = {domain.name for domain in config.model.domains}
         if config.stage == "metric" and len(domains) > 1 and (others := set(dataset.domains) - domains):
-            raise InputError(f"{dataset.path} has the domains {sorted(others)}, the model {sorted(domains)}")
+            raise InputError(f"{data[name]} has the domains {sorted(others)}, the model {sorted(domains)}")
         n_training = len(dataset) - config.holdout
         if n_training < 1:
-            raise InputError(f"{dataset.path} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none")
+            raise InputError(f"{data[name]} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none")
         training.append((known[name], Subset(dataset, range(n_training))))
         if config.holdout:
             validation[name] = Subset(dataset, range(n_training, len(dataset)))

@@ -1,0 +1,60 @@
+"""``zoedepth data shard SOURCE OUT``."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import tyro
+
+if TYPE_CHECKING:
+    from zoedepth.shards.writer import Packed
+
+
+def shard(
+    source: tyro.conf.Positional[str],
+    out: tyro.conf.Positional[Path],
+    *,
+    name: str | None = None,
+    split: str = "train",
+    shard_size: str = "500MB",
+    depth_scale: float | None = None,
+    domain: str | None = None,
+    workers: int = 0,
+) -> int:
+    """Write data as WebDataset shards: a few large files in place of many small ones, read as fast in any order.
+
+    The samples stay the same bit for bit, and photos keep their own files' bytes. An interrupted run goes on when the
+    command is typed again.
+
+    Args:
+        source: data in any format, see docs/your-data.md.
+        out: folder for NAME-000000.tar ... and index.json.
+        name: of the data: that of a published set if it is one, and the beginning of the shards' names; None: data.
+        split: which list, folder or split of the source.
+        shard_size: 500MB, 2GB, or a number of samples.
+        depth_scale: the stored value of one metre, where the source does not say it.
+        domain: scene type, where the source does not say it.
+        workers: processes that read and pack; 0: one that does all.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from zoedepth.data.open import open_dataset
+    from zoedepth.shards.writer import ShardSize, write_shards
+
+    size = ShardSize.parse(shard_size)
+    dataset = open_dataset(source, name=name, split=split, depth_scale=depth_scale, domain=domain)
+    console = Console(stderr=True, highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+
+        def track(samples: "Iterable[Packed]", first: int) -> "Iterable[Packed]":
+            task = progress.add_task("shards", total=len(dataset), completed=first)
+            for sample in samples:
+                yield sample
+                progress.advance(task)
+
+        index = write_shards(dataset, out, name=name or "data", size=size, workers=workers, track=track)
+    console.print(f"{len(dataset)} samples in {len(index.shards)} shards", markup=False)
+    print(out)
+    return 0

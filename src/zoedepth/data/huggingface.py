@@ -1,0 +1,182 @@
+"""Data sets in the format of Hugging Face ``datasets``: at the Hub, or saved to disk. No code of theirs is run."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from torch.utils.data import Dataset
+
+from zoedepth.data.facts import Facts, read_defaults
+from zoedepth.data.sample import Sample, Target
+from zoedepth.data.targets import Memory, Stored, read_stored, to_sample
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.images import MAX_PIXELS, read_image
+
+if TYPE_CHECKING:
+    import datasets
+
+PHOTOS = ("image", "rgb")
+"""Columns that hold the photo; the first that is there."""
+
+DEPTHS = ("depth_map", "depth")
+"""Columns that hold depth; the first that is there."""
+
+_MAGIC = {b"\x89PNG": ".png", b"II*\0": ".tiff", b"MM\0*": ".tiff"}
+
+
+def load_hub(repo: str, *, split: str, revision: str | None = None, config: str | None = None) -> "datasets.Dataset":
+    """A split of a data set at the Hub, downloaded if it is not in the cache.
+
+    Args:
+        repo: owner/name.
+        split: its name, or as ``datasets`` cuts splits: train[:100].
+        revision: branch, tag or commit.
+        config: name of the configuration, where it has several.
+
+    Raises:
+        InputError: it cannot be had.
+        MissingExtraError: ``datasets`` is not installed.
+    """
+    library = _library()
+    try:
+        return library.load_dataset(repo, config, split=split, revision=revision)
+    except Exception as error:  # the library raises nearly anything, also its dependencies' errors
+        raise InputError(f"cannot load {split!r} of {repo} from Hugging Face: {error}") from error
+
+
+def is_saved(folder: Path) -> bool:
+    """Whether ``save_to_disk`` wrote a folder."""
+    return (folder / "dataset_dict.json").is_file() or all(
+        (folder / name).is_file() for name in ("dataset_info.json", "state.json")
+    )
+
+
+def load_saved(folder: Path, *, split: str) -> "datasets.Dataset":
+    """A folder that ``save_to_disk`` wrote. One without splits is all of any of them.
+
+    Raises:
+        InputError: it is damaged, or has no such split.
+        MissingExtraError: ``datasets`` is not installed.
+    """
+    library = _library()
+    try:
+        loaded = library.load_from_disk(str(folder))
+    except Exception as error:
+        raise InputError(f"cannot load the data set in {folder}: {error}") from error
+    if not isinstance(loaded, library.DatasetDict):
+        return loaded
+    if split not in loaded:
+        raise InputError(f"{folder} has the splits {sorted(map(str, loaded))}, and not {split!r}")
+    return loaded[split]
+
+
+class HuggingFaceDataset(Dataset[Sample]):
+    """Rows with a photo and its depth, as :class:`Sample` at their own size.
+
+    A photo is an ``Image`` in the column ``image`` or ``rgb``. Depth is in ``depth_map`` or ``depth``: an array
+    (height, width), or an ``Image``, PNG or TIFF, of one channel. Floats are metres, whole numbers
+    need ``depth_scale``.
+
+    Args:
+        data: the rows.
+        name: what to call them in messages and names.
+        depth_scale: the stored value of one metre.
+        domain: of all photos.
+        folder: where ``dataset.json`` may say what the arguments do not.
+
+    Raises:
+        InputError: columns are missing, there are no rows, or no domain.
+    """
+
+    def __init__(
+        self,
+        data: "datasets.Dataset",
+        *,
+        name: str,
+        depth_scale: float | None = None,
+        domain: str | None = None,
+        folder: Path | None = None,
+    ) -> None:
+        features = data.features
+        photo, depth = (next((c for c in names if c in features), None) for names in (PHOTOS, DEPTHS))
+        if photo is None or depth is None or not isinstance(features[photo], _library().Image):
+            wanted = f"an Image in {' or '.join(PHOTOS)} and depth in {' or '.join(DEPTHS)}"
+            raise InputError(f"{name} has the columns {sorted(features)}; it needs {wanted}")
+        if not len(data):
+            raise InputError(f"{name} has no rows")
+        self.name = name
+        self._facts = Facts(depth_scale, domain).over(read_defaults(folder) if folder else Facts())
+        if not self._facts.domain:
+            raise InputError(f"{name} needs a domain: give ?domain=indoor behind its name, or in dataset.json")
+        # The files' own bytes: formats and sizes are ours to check.
+        self._photos = _undecoded(data.select_columns([photo]))
+        self._depths = _undecoded(data.select_columns([depth]))
+        self._columns = photo, depth
+
+    def __len__(self) -> int:
+        return len(self._photos)
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one row.
+
+        Raises:
+            InputError: a cell is damaged or empty, or photo and depth differ in size.
+        """
+        index = range(len(self))[index]
+        photo, depth = self._columns
+        names = tuple(f"{self.name}, row {index}, {column}" for column in self._columns)
+        return to_sample(
+            read_image(_file(self._photos[index][photo], names[0])),
+            _stored(self._depths[index][depth], names[1]),
+            kind="depth",
+            facts=self._facts,
+            name=f"{index:08d}",
+            files=(names[0], names[1]),
+        )
+
+    @property
+    def domains(self) -> list[str]:
+        """The one domain."""
+        return [self._facts.domain or ""]
+
+    @property
+    def kinds(self) -> list[Target]:
+        """The kind of target: depth."""
+        return ["depth"]
+
+
+def _library() -> Any:
+    try:
+        import datasets
+    except ImportError as error:
+        raise MissingExtraError("hf", "a data set of Hugging Face") from error
+    if int(datasets.__version__.split(".")[0]) < 4:  # these still ran a data set's own script
+        raise MissingExtraError("hf", f"a data set of Hugging Face, with newer datasets than {datasets.__version__},")
+    return datasets
+
+
+def _undecoded(column: "datasets.Dataset") -> "datasets.Dataset":
+    """Images as their files, arrays as arrays."""
+    [(name, feature)] = column.features.items()
+    image = _library().Image
+    return column.cast_column(name, image(decode=False)) if isinstance(feature, image) else column.with_format("numpy")
+
+
+def _file(cell: Any, name: str) -> Memory | Path:
+    if isinstance(cell, dict) and cell.get("bytes"):
+        return Memory(cell["bytes"], name, _MAGIC.get(cell["bytes"][:4], ""))
+    path = cell.get("path") if isinstance(cell, dict) else None
+    if not path or not Path(path).is_file():
+        raise InputError(f"{name}: there is nothing")
+    return Path(path)
+
+
+def _stored(cell: Any, name: str) -> Stored:
+    if isinstance(cell, dict):
+        return read_stored(_file(cell, name))
+    values = np.asarray(cell)
+    values = values[..., 0] if values.ndim == 3 and values.shape[-1] == 1 else values
+    values = values[0] if values.ndim == 3 and values.shape[0] == 1 else values
+    if values.ndim != 2 or values.dtype.kind not in "uif" or not 0 < values.size <= MAX_PIXELS:
+        raise InputError(f"{name}: must be one map (height, width) of numbers; it is {values.dtype} {values.shape}")
+    return Stored(values)

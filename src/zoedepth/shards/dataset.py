@@ -1,0 +1,213 @@
+"""Samples out of shards, in any order, with one read each."""
+
+import hashlib
+import os
+import tempfile
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import replace
+from io import FileIO
+from pathlib import Path
+from threading import Lock
+from urllib.parse import quote, urljoin
+
+import numpy as np
+from jaxtyping import Int64
+from torch.utils.data import Dataset
+
+from zoedepth.data.facts import Facts, parse_facts, parse_json, read_defaults
+from zoedepth.data.sample import Sample, Target
+from zoedepth.data.targets import Memory, read_mask, read_stored, to_sample
+from zoedepth.download import download
+from zoedepth.errors import InputError
+from zoedepth.images import read_image
+from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
+from zoedepth.shards.members import MAX_JSON, find_roles, unpack
+
+WINDOW = 4
+"""Shards among which a shuffled order mixes their samples."""
+
+_MAX_OPEN = 64
+
+
+def cache_folder() -> Path:
+    """Where shards from the web are kept."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "zoedepth" / "shards"
+
+
+def find_shards(folder: Path) -> list[Path]:
+    """The tar files of a folder, sorted."""
+    return sorted(path for path in folder.glob("*.tar") if not path.name.startswith("."))
+
+
+class ShardDataset(Dataset[Sample]):
+    """The samples of shards, by number. It may be copied to any number of worker processes.
+
+    From the web, a shard is downloaded whole when its first sample is asked for, and kept: training over more than the
+    disk holds is not for this class. An ``index.json`` from the web also says what the shards must hash to.
+
+    Args:
+        path: a folder with ``index.json`` or with tar files; an ``index.json``; a .tar; or the address of one of the
+            latter two. Without an index the headers are read once, which takes a second for some 10,000 samples.
+        depth_scale: the stored value of one metre, for samples of which nobody says it.
+        domain: for samples of which nobody says it.
+        cache: where shards from the web are kept; None: :func:`cache_folder`.
+
+    Raises:
+        InputError: there are no shards, they are unfinished, damaged, or have samples that are none.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        depth_scale: float | None = None,
+        domain: str | None = None,
+        cache: Path | None = None,
+    ) -> None:
+        self.path = path
+        self._defaults = Facts(depth_scale, domain)
+        self._url: str | None = None
+        cache = cache or cache_folder()
+        if str(path).startswith(("http://", "https://")):
+            self._open_url(str(path), cache)
+        else:
+            self._open_path(Path(path))
+        self._starts = np.cumsum([0, *map(len, self.index.shards)])
+        self._files = _Files()
+
+    def _open_path(self, path: Path) -> None:
+        self._folder = path if path.is_dir() else path.parent
+        self._defaults = self._defaults.over(read_defaults(self._folder))
+        file = path / INDEX_FILE if path.is_dir() and (path / INDEX_FILE).is_file() else path
+        if file.is_dir() or file.suffix == ".tar":
+            if not (shards := find_shards(file) if file.is_dir() else [file]):
+                raise InputError(f"{path} has no shards: neither {INDEX_FILE} nor .tar files")
+            self.index = scan(shards, self._defaults)
+            return
+        self.index = _usable(read_index(file), file)
+        for shard in self.index.shards:
+            found = self._folder / shard.name
+            if not found.is_file():
+                raise InputError(f"{file} lists {shard.name}, which is not beside it")
+            if found.stat().st_size < shard.offsets[-1]:
+                raise InputError(f"{found} is cut short: copy it again")
+
+    def _open_url(self, url: str, cache: Path) -> None:
+        if url.endswith(".tar"):
+            # A shard without an index: its address is all there is to tell it from others.
+            self._folder = cache / hashlib.sha256(url.encode()).hexdigest()[:16]
+            self.index = scan([download(url, self._folder / "shard.tar")], self._defaults)
+            return
+        with tempfile.TemporaryDirectory() as folder:  # always asked for anew: the shards may have changed
+            file = download(url, Path(folder) / INDEX_FILE)
+            self.index = _usable(read_index(file), url)
+            content = file.read_bytes()
+        self._url = url
+        self._folder = cache / hashlib.sha256(content).hexdigest()[:16]
+
+    def __len__(self) -> int:
+        return int(self._starts[-1])
+
+    def __getitem__(self, index: int) -> Sample:
+        """Read one sample.
+
+        Raises:
+            InputError: the shard cannot be fetched, or the sample is damaged; both are named.
+        """
+        index = range(len(self))[index]
+        number = int(np.searchsorted(self._starts, index, side="right")) - 1
+        shard, place = self.index.shards[number], index - int(self._starts[number])
+        path = self._locate(shard)
+        where = f"{path}, sample {place}"
+        begin, end = (int(offset) for offset in shard.offsets[place : place + 2])
+        block = self._files.read(path, begin, end - begin)
+        if len(block) != end - begin:
+            raise InputError(f"{where}: the shard is cut short")
+        members = unpack(block, where)
+        roles = find_roles(members, where)
+        about = parse_json(members.get("json", b"{}"), where, max_bytes=MAX_JSON)
+        facts = parse_facts(about, where)
+        name = about.get("name")
+        target = _member(members, roles.target, where)
+        return to_sample(
+            read_image(_member(members, roles.photo, where)),
+            read_stored(target),
+            kind=roles.kind,
+            facts=replace(facts.over(self._defaults), depth_scale=facts.depth_scale),
+            default_scale=self._defaults.depth_scale,
+            mask=None if roles.mask is None else read_mask(_member(members, roles.mask, where)),
+            mask_decides=True,
+            name=name if isinstance(name, str) else f"{shard.name}/{place}",
+            files=(f"{where}, .{roles.photo}", target),
+        )
+
+    def order(self, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
+        """The numbers of all samples, shuffled so that reading in this order goes through few shards at a time.
+
+        The shards are shuffled, then the samples of each ``WINDOW`` of them together.
+        """
+        shards = rng.permutation(len(self.index.shards))
+        windows = [shards[first : first + WINDOW] for first in range(0, len(shards), WINDOW)]
+        numbers = np.arange(len(self))
+        parts = [np.concatenate([numbers[self._starts[i] : self._starts[i + 1]] for i in part]) for part in windows]
+        return np.concatenate([rng.permutation(part) for part in parts])
+
+    @property
+    def domains(self) -> Sequence[str]:
+        """The domains that occur."""
+        return list(self.index.domains)
+
+    @property
+    def kinds(self) -> Sequence[Target]:
+        """The kinds of target that occur."""
+        return list(self.index.kinds)
+
+    def _locate(self, shard: Shard) -> Path:
+        path = self._folder / shard.name
+        if self._url is not None and not path.exists():
+            download(urljoin(self._url, quote(shard.name)), path, sha256=shard.sha256)
+        return path
+
+
+class _Files:
+    """Reads pieces of files, which it keeps open: in each process its own, for a fork shares positions."""
+
+    def __init__(self) -> None:
+        self._process = os.getpid()
+        self._lock = Lock()
+        self._open: OrderedDict[Path, FileIO] = OrderedDict()
+
+    def __reduce__(self) -> tuple[type["_Files"], tuple[()]]:
+        return type(self), ()  # open files are not sent to other processes
+
+    def read(self, path: Path, offset: int, size: int) -> bytes:
+        """At most ``size`` bytes from ``offset`` on."""
+        if self._process != os.getpid():
+            self.__init__()
+        try:
+            with self._lock:
+                file = self._open.pop(path, None) or FileIO(str(path))
+                self._open[path] = file  # the last one is the most recently used
+                if len(self._open) > _MAX_OPEN:
+                    self._open.popitem(last=False)[1].close()
+                file.seek(offset)
+                pieces = []
+                while size and (piece := file.read(size)):
+                    pieces.append(piece)
+                    size -= len(piece)
+                return b"".join(pieces)
+        except OSError as error:
+            raise InputError(f"cannot read {path} ({error.strerror})") from error
+
+
+def _member(members: dict[str, bytes], extension: str, where: str) -> Memory:
+    return Memory(members[extension], f"{where}, .{extension}", f".{extension.rpartition('.')[2]}")
+
+
+def _usable(index: Index, where: object) -> Index:
+    if not index.complete:
+        raise InputError(f"{where} is unfinished: type the command `zoedepth data shard` again, and it goes on")
+    if not index.shards:
+        raise InputError(f"{where} lists no shards")
+    return index

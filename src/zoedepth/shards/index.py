@@ -1,0 +1,196 @@
+"""Where each sample begins in its shard: as ``index.json`` says, or found by reading the headers once."""
+
+import json
+import re
+import tarfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+from jaxtyping import Int64
+
+from zoedepth.data.facts import Facts, parse_facts, parse_json
+from zoedepth.data.sample import Target
+from zoedepth.errors import InputError
+from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, split_name
+
+INDEX_FILE = "index.json"
+
+_FORMAT = "zoedepth shards 1"
+_MAX_INDEX = 1 << 26
+_SHARD_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,200}\.tar")
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One tar file."""
+
+    name: str
+    """Of the file, in the folder of the index."""
+    offsets: Int64[np.ndarray, " samples+1"]
+    """The byte at which each sample begins; the last is where the last one ends."""
+    sha256: str | None = None
+    """Of the whole file, where it is known."""
+
+    def __len__(self) -> int:
+        return len(self.offsets) - 1
+
+
+@dataclass(frozen=True)
+class Index:
+    """What is known of shards without opening them."""
+
+    shards: Sequence[Shard]
+    domains: Sequence[str]
+    kinds: Sequence[Target]
+    complete: bool = True
+    """Whether all shards are written."""
+    settings: Mapping[str, object] = field(default_factory=dict)
+    """Of the writer: what an interrupted writing must have in common with the one that goes on."""
+
+    def to_json(self) -> str:
+        """The text of ``index.json``."""
+        shards = [
+            {"name": shard.name, "samples": len(shard), "sha256": shard.sha256, "offsets": shard.offsets.tolist()}
+            for shard in self.shards
+        ]
+        record = {
+            "format": _FORMAT,
+            "complete": self.complete,
+            "samples": sum(map(len, self.shards)),
+            "domains": list(self.domains),
+            "kinds": list(self.kinds),
+            "settings": dict(self.settings),
+            "shards": shards,
+        }
+        return json.dumps(record, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, content: bytes, where: str) -> "Index":
+        """The inverse of :meth:`to_json`.
+
+        Raises:
+            InputError: this is no index, or it contradicts itself.
+        """
+        record = cast(dict[str, Any], parse_json(content, where, max_bytes=_MAX_INDEX))
+        if record.get("format") != _FORMAT:
+            raise InputError(f"{where} is no index of shards: its format is {record.get('format')!r}, not {_FORMAT!r}")
+        try:
+            shards = [_parse_shard(entry) for entry in record["shards"]]
+            domains = [str(name) for name in record["domains"]]
+            kinds: list[Target] = [kind for kind in ("depth", "disparity") if kind in record["kinds"]]
+            return cls(shards, domains, kinds, record["complete"] is True, dict(record["settings"]))
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
+            raise InputError(f"{where} is damaged ({error!r})") from error
+
+
+def read_index(path: Path) -> Index:
+    """The index in a file.
+
+    Raises:
+        InputError: it cannot be read, or is damaged.
+    """
+    try:
+        with path.open("rb") as file:
+            return Index.from_json(file.read(_MAX_INDEX + 1), str(path))
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from error
+
+
+def scan(paths: Sequence[Path], defaults: Facts) -> Index:
+    """The index of shards that anybody wrote, from their headers and the JSON of each sample.
+
+    Args:
+        paths: tar files, not compressed.
+        defaults: for samples of which nothing is said.
+
+    Raises:
+        InputError: no tar file, damaged, or a sample without photo, depth or domain.
+    """
+    shards: list[Shard] = []
+    domains: set[str] = set()
+    kinds: set[Target] = set()
+    for path in paths:
+        groups = list(_groups(path))
+        if not groups:
+            raise InputError(f"{path} has no samples: members are called KEY.jpg, KEY.depth.png, KEY.json")
+        for group in groups:
+            where = f"{path}, sample {group.key!r}"
+            kind = find_roles(group.extensions, where).kind
+            facts = parse_facts(parse_json(group.json, where, max_bytes=MAX_JSON), where).over(defaults)
+            if kind == "depth" and not facts.domain:
+                raise InputError(f'{where}: needs a domain: {{"domain": "indoor"}} in its .json, or one given for all')
+            if group.end - group.start > MAX_SAMPLE:
+                raise InputError(f"{where}: larger than {MAX_SAMPLE:,} bytes")
+            domains.add(facts.domain or "")
+            kinds.add(kind)
+        offsets = [group.start for group in groups] + [groups[-1].end]
+        shards.append(Shard(path.name, np.array(offsets, np.int64)))
+    return Index(shards, sorted(domains), sorted(kinds))
+
+
+@dataclass
+class _Group:
+    """Consecutive members with one key."""
+
+    key: str
+    start: int
+    end: int
+    extensions: set[str]
+    json: bytes = b"{}"
+
+
+def _groups(path: Path) -> Iterator[_Group]:
+    group = None
+    try:
+        with path.open("rb") as file, tarfile.open(fileobj=_Bounded(file), mode="r:") as archive:  # type: ignore[arg-type]  # as much of a file as it uses
+            while (member := archive.next()) is not None:
+                archive.members = []  # it would keep them all
+                name = split_name(member.name) if member.isreg() and not member.issparse() else None
+                if name is None:
+                    continue
+                if group is None or group.key != name[0]:
+                    if group is not None:
+                        yield group
+                    group = _Group(name[0], member.offset, 0, set())
+                group.extensions.add(name[1])
+                group.end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
+                if name[1] == "json":
+                    file.seek(member.offset_data)
+                    group.json = file.read(min(member.size, MAX_JSON + 1))
+            check_end(file, archive.offset)
+    except (OSError, tarfile.TarError, ValueError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{path} is no tar file, compressed, or damaged ({error})") from error
+    if group is not None:
+        yield group
+
+
+class _Bounded:
+    """A file for ``tarfile``, which reads as much as a header says it should."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.seek, self.tell = file.seek, file.tell
+
+    def read(self, size: int = -1) -> bytes:
+        if not 0 <= size <= MAX_JSON:
+            raise tarfile.ReadError("a header is too long")
+        return self._file.read(size)
+
+
+def _parse_shard(entry: dict[str, Any]) -> Shard:
+    name, sha256 = entry["name"], entry["sha256"]
+    # It becomes a path.
+    if not _SHARD_NAME.fullmatch(name):
+        raise ValueError(f"{name!r} is no name of a shard")
+    if sha256 is not None and not re.fullmatch("[0-9a-f]{64}", sha256):
+        raise ValueError(f"{sha256!r} is no SHA-256")
+    offsets = np.array(entry["offsets"], np.int64)
+    sizes = np.diff(offsets)
+    if offsets.ndim != 1 or len(sizes) == 0 or offsets[0] < 0 or sizes.min() <= 0 or sizes.max() > MAX_SAMPLE:
+        raise ValueError(f"the offsets of {name} are not those of samples")
+    return Shard(name, offsets, sha256)

@@ -1,0 +1,271 @@
+"""Samples into shards: bit for bit the same samples, each shard whole or not at all."""
+
+import hashlib
+import json
+import re
+import tarfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import UInt16
+from PIL import Image
+from torch.utils.data import DataLoader, Dataset
+
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Sample, Samples, Target
+from zoedepth.data.targets import Memory
+from zoedepth.datasets.published import PublishedDataset
+from zoedepth.errors import InputError
+from zoedepth.images import (
+    IMAGE_SUFFIXES,
+    PNG_MAX,
+    PNG_SCALE_KITTI,
+    PNG_SCALE_MILLIMETRE,
+    DepthArray,
+    atomic_path,
+    read_image,
+)
+from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index
+from zoedepth.shards.members import MAX_SAMPLE, pack
+
+SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
+"""Units in which depth may turn out to be whole numbers; TUM's is 5000."""
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}")
+_UNITS = {"KB": 10**3, "MB": 10**6, "GB": 10**9}
+
+
+@dataclass(frozen=True)
+class ShardSize:
+    """When a shard is full."""
+
+    bytes: int | None = None
+    samples: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> "ShardSize":
+        """Of "500MB" (KB, MB, GB), or of "1000": samples.
+
+        Raises:
+            InputError: neither of them.
+        """
+        found = re.fullmatch(r"(\d{1,12})\s*([KMG]B)?", text.strip().upper())
+        if not found or int(found[1]) == 0:
+            raise InputError(f"the size of a shard is 500MB, 2GB, or a number of samples; it is {text!r}")
+        number = int(found[1])
+        return cls(bytes=number * _UNITS[found[2]]) if found[2] else cls(samples=number)
+
+    def holds(self, n_bytes: int, n_samples: int) -> bool:
+        """Whether a shard may be as large."""
+        return (self.bytes is None or n_bytes <= self.bytes) and (self.samples is None or n_samples <= self.samples)
+
+
+class Packed(NamedTuple):
+    """A sample as bytes."""
+
+    block: bytes
+    domain: str
+    kind: Target
+
+
+def write_shards(
+    dataset: Samples,
+    out: Path,
+    *,
+    name: str,
+    size: ShardSize,
+    workers: int = 0,
+    track: Callable[[Iterable[Packed], int], Iterable[Packed]] = lambda samples, first: samples,
+) -> Index:
+    """Write ``out/NAME-000000.tar`` and so on, and ``out/index.json``. What is written already is not written again.
+
+    The photo's own file is kept where the data set shows it as it is, else it is written as a PNG. Depth becomes a PNG
+    where that loses nothing, else an .npz of floats. The same samples give the same bytes.
+
+    Args:
+        dataset: the samples.
+        out: folder for the shards; made if need be.
+        name: what their names begin with: letters, digits, - and _.
+        size: of a shard; a single sample is written however large.
+        workers: processes that read and pack; 0: this one.
+        track: given the samples and the number of the first that is to be written, gives them on and shows progress.
+
+    Raises:
+        InputError: a sample is damaged or larger than 256 MiB, or the folder has shards of something else. What is
+            finished stays, and the same call goes on from there.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(f"shards are called by letters, digits, - and _; {name!r} cannot be their name")
+    if not len(dataset):
+        raise InputError("there are no samples to write")
+    packing = _Packing(dataset)
+    settings = {"name": name, "shard_size": [size.bytes, size.samples], "samples": len(dataset)}
+    index = _begun(out, settings, packing)
+    first = sum(map(len, index.shards))
+    rest = DataLoader(packing, sampler=range(first, len(dataset)), batch_size=None, num_workers=workers)
+    samples = iter(track(_unless_failed(rest), first))
+    packed = next(samples, None)
+    while packed is not None:
+        path = out / f"{name}-{len(index.shards):06d}.tar"
+        with atomic_path(path) as temporary:
+            shard, written, packed = _write_shard(temporary, path.name, packed, samples, size)
+        index = replace(
+            index,
+            shards=[*index.shards, shard],
+            domains=sorted({*index.domains, *(domain for domain, _ in written)}),
+            kinds=sorted({*index.kinds, *(kind for _, kind in written)}),
+        )
+        _write_index(out, index)
+    if not index.complete:
+        index = replace(index, complete=True)
+        _write_index(out, index)
+    return index
+
+
+def whole_numbers(target: DepthArray, scale: float) -> UInt16[np.ndarray, "height width"] | None:
+    """The 16-bit levels of which a target is exactly ``levels / scale``; None where there are none."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        levels = np.rint(target * np.float32(scale))
+        exact = np.array_equal(levels / np.float32(scale), target)
+    return levels.astype(np.uint16) if exact and levels.min() >= 0 and levels.max() <= PNG_MAX else None
+
+
+class _Packing(Dataset[Packed | InputError]):
+    """Samples by number, as bytes. Errors are handed on as values: raised in a worker they would lose their message."""
+
+    def __init__(self, dataset: Samples) -> None:
+        self.dataset = dataset
+
+    def __len__(self) -> int:
+        return len(self.dataset)
+
+    def __getitem__(self, index: int) -> Packed | InputError:
+        try:
+            sample = self.dataset[index]
+            photo, scale = _origin(self.dataset, index)
+            block = pack(f"{index:08d}", _pack_photo(sample, photo) | _pack_target(sample, scale))
+            if len(block) > MAX_SAMPLE:
+                raise InputError(f"{sample.name} has {len(block):,} bytes, more than {MAX_SAMPLE:,}")
+        except InputError as error:
+            return error
+        return Packed(block, sample.domain, sample.kind)
+
+
+def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
+    """(file of the photo, the stored value of one metre), where there is one."""
+    if isinstance(dataset, PairDataset):
+        return dataset.pairs[index].image, dataset.pairs[index].scale
+    return (dataset.frames[index].image if isinstance(dataset, PublishedDataset) else None), None
+
+
+def _pack_photo(sample: Sample, path: Path | None) -> dict[str, bytes]:
+    if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
+        content = path.read_bytes()
+        # Some data sets crop or resize what the file has.
+        shown = torch.tensor(read_image(Memory(content, str(path)))).permute(2, 0, 1).float() / 255
+        if torch.equal(shown, sample.image):
+            suffix = path.suffix.lower().removeprefix(".")
+            return {"jpg" if suffix == "jpeg" else suffix: content}
+    pixels = (sample.image * 255).round().clamp(0, 255).byte().permute(1, 2, 0)
+    return {"png": _png(pixels.numpy())}
+
+
+def _pack_target(sample: Sample, scale: float | None) -> dict[str, bytes]:
+    """Target, mask and JSON of a sample."""
+    known = sample.mask[0].numpy()
+    target = np.where(known, sample.target[0].numpy(), np.float32(0))
+    about: dict[str, object] = {"kind": sample.kind, "domain": sample.domain, "name": sample.name}
+    if (camera := sample.camera) is not None:
+        about |= {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    members = {}
+    for unit in (1.0,) if sample.kind == "disparity" else (scale or SCALES[0], *SCALES):
+        if (levels := whole_numbers(target, unit)) is not None:
+            members[f"{sample.kind}.png"] = _png(levels)
+            about |= {"depth_scale": unit} if sample.kind == "depth" else {}
+            break
+    else:
+        members[f"{sample.kind}.npz"] = _npz(target)
+    if not np.array_equal(known, target > 0):
+        members["mask.png"] = _png(known.astype(np.uint8) * 255)
+    return members | {"json": json.dumps(about, sort_keys=True).encode()}
+
+
+def _png(values: np.ndarray) -> bytes:
+    file = BytesIO()
+    Image.fromarray(values).save(file, "PNG")
+    return file.getvalue()
+
+
+def _npz(target: DepthArray) -> bytes:
+    """Floats of 16 bits where that loses nothing."""
+    with np.errstate(over="ignore"):
+        half = target.astype(np.float16)
+    file = BytesIO()
+    np.savez_compressed(file, depth=half if np.array_equal(half.astype(np.float32), target) else target)
+    return file.getvalue()
+
+
+def _unless_failed(samples: Iterable[Packed | InputError]) -> Iterator[Packed]:
+    for sample in samples:
+        if isinstance(sample, InputError):
+            raise sample
+        yield sample
+
+
+def _write_shard(
+    path: Path, name: str, packed: Packed, samples: Iterator[Packed], size: ShardSize
+) -> tuple[Shard, set[tuple[str, Target]], Packed | None]:
+    """The shard, (domain, kind) of what is in it, and the sample for which it had no room."""
+    offsets, written, digest = [0], set(), hashlib.sha256()
+    following: Packed | None = packed
+    with path.open("wb") as file:
+        while following is not None:
+            if len(offsets) > 1 and not size.holds(offsets[-1] + len(following.block), len(offsets)):
+                break
+            file.write(following.block)
+            digest.update(following.block)
+            offsets.append(offsets[-1] + len(following.block))
+            written.add((following.domain, following.kind))
+            following = next(samples, None)
+        end = b"\0" * (2 * tarfile.BLOCKSIZE)  # how a tar file says that it is whole
+        file.write(end)
+        digest.update(end)
+    return Shard(name, np.array(offsets, np.int64), digest.hexdigest()), written, following
+
+
+def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
+    """What is finished in the folder.
+
+    Raises:
+        InputError: it is of other samples, or of shards of another size.
+    """
+    path = out / INDEX_FILE
+    if not path.is_file():
+        return Index([], [], [], complete=False, settings=settings)
+    index = read_index(path)
+    finished = []
+    for shard in index.shards:
+        file = out / shard.name
+        if not file.is_file() or file.stat().st_size < shard.offsets[-1]:
+            break
+        finished.append(shard)
+    same = index.settings == settings
+    if same and finished:
+        first = packing[0]
+        if isinstance(first, InputError):
+            raise first
+        with (out / finished[0].name).open("rb") as file:
+            same = file.read(int(finished[0].offsets[1])) == first.block
+    if not same:
+        raise InputError(f"{out} has shards of other samples or of another size: give another folder, or remove it")
+    return replace(index, shards=finished, complete=index.complete and len(finished) == len(index.shards))
+
+
+def _write_index(out: Path, index: Index) -> None:
+    with atomic_path(out / INDEX_FILE) as temporary:
+        temporary.write_text(index.to_json(), encoding="utf-8")
