@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import depthwise, inference, startup
+from benchmarks import depthwise, inference, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
     "inference": inference.main,
     "depthwise": depthwise.main,
+    "synthetic": synthetic.main,
 }
 
 

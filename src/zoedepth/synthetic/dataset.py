@@ -1,0 +1,115 @@
+"""Rendered rooms and streets with exact depth, as a data set that needs no files."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from zoedepth.camera import Intrinsics
+from zoedepth.data.sample import Sample, Target
+from zoedepth.errors import InputError
+from zoedepth.synthetic.photo import photograph
+from zoedepth.synthetic.pose import count_parts
+from zoedepth.synthetic.render import View, render
+from zoedepth.synthetic.room import build_room
+from zoedepth.synthetic.street import build_street
+from zoedepth.synthetic.trace import Tracer
+
+_BUILDERS = {"indoor": build_room, "outdoor": build_street}
+_ATTEMPTS = 12
+"""Poses tried in a scene before another is built."""
+
+
+class SyntheticScenes(Dataset[Sample]):
+    """Pictures of scenes that are made up as they are asked for. Each is of its own scene.
+
+    The same (seed, index, size, domains) gives the same bits in every process of a machine, in any order.
+
+    Args:
+        n: how many.
+        size: (height, width) of the pictures.
+        seed: of everything.
+        domains: "indoor" are rooms, "outdoor" streets; sample i is of domain i modulo their number.
+
+    Raises:
+        InputError: an unknown domain, or a size below 32.
+    """
+
+    def __init__(
+        self,
+        n: int = 10_000,
+        *,
+        size: tuple[int, int] = (288, 384),
+        seed: int = 0,
+        domains: Sequence[str] = ("indoor", "outdoor"),
+    ) -> None:
+        if not domains or set(domains) - set(_BUILDERS):
+            raise InputError(f"synthetic scenes are of the domains {list(_BUILDERS)}, not {list(domains)}")
+        if min(size) < 32 or n < 1 or seed < 0:
+            raise InputError(
+                f"synthetic scenes need n >= 1, seed >= 0, 32 pixels each way; n={n}, seed={seed}, size={size}"
+            )
+        self.n = n
+        self.size = size
+        self.seed = seed
+        self._domains = tuple(domains)
+
+    def __len__(self) -> int:
+        return self.n
+
+    def __getitem__(self, index: int) -> Sample:
+        """Build and render one scene. Depth is 0, and unknown, in the sky and in the view from a window.
+
+        Raises:
+            MissingExtraError: embreex is not installed.
+        """
+        if not 0 <= index < self.n:
+            raise IndexError(index)
+        domain = self._domains[index % len(self._domains)]
+        photo, depth, camera = make_picture(domain, self.size, np.random.default_rng((self.seed, index)))
+        return Sample(
+            image=torch.from_numpy(photo).permute(2, 0, 1).float() / 255,
+            target=torch.from_numpy(depth)[None],
+            mask=torch.from_numpy(depth > 0)[None],
+            kind="depth",
+            domain=domain,
+            name=f"{domain}/{self.seed}/{index:06d}",
+            camera=camera,
+        )
+
+    @property
+    def domains(self) -> list[str]:
+        """The scene types that occur."""
+        return sorted(set(self._domains[: self.n]))
+
+    @property
+    def kinds(self) -> list[Target]:
+        """The kinds of target that occur: one."""
+        return ["depth"]
+
+
+def make_picture(
+    domain: str, size: tuple[int, int], rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, Intrinsics]:
+    """(photo uint8, depth float32 metres or 0, camera) of a scene drawn from ``rng``."""
+    nearest, middle, n_parts = (0.45, 1.0, 9) if domain == "indoor" else (1.2, 4.0, 14)
+    while True:
+        place = _BUILDERS[domain](rng)
+        poses = [place.draw_pose(rng) for _ in range(_ATTEMPTS)]
+        arrays = place.scene.arrays(poses[0].position)
+        tracer = Tracer(arrays)
+        best: tuple[int, View] | None = None
+        tries = int(rng.integers(1, 4))
+        for pose in poses:
+            shift = rng.normal(0, 0.01, 2) * size[1]
+            view = pose.view(size, (float(shift[0]), float(shift[1])))
+            count = count_parts(view, arrays, tracer, nearest=nearest, middle=middle)
+            if count >= n_parts and (best is None or count > best[0]):
+                best = count, view
+            tries -= count >= n_parts
+            if tries <= 0:
+                break
+        if best is not None:
+            picture = render(place.scene, arrays, tracer, best[1], rng)
+            return photograph(picture.color, rng), picture.depth, best[1].camera

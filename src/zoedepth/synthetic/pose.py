@@ -1,0 +1,53 @@
+"""Where a camera stands and looks, and whether a picture from there is worth taking."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from zoedepth.camera import Intrinsics
+from zoedepth.synthetic.render import View
+from zoedepth.synthetic.scene import Arrays
+from zoedepth.synthetic.trace import Tracer
+
+
+class Pose(NamedTuple):
+    """A camera, angles in radians."""
+
+    position: tuple[float, float, float]
+    yaw: float
+    """Direction of sight, from x towards y."""
+    pitch: float
+    """Positive looks up."""
+    roll: float
+    field_of_view: float
+    """Across the picture's width."""
+
+    def view(self, size: tuple[int, int], shift: tuple[float, float] = (0.0, 0.0)) -> View:
+        """The pinhole camera of a picture of ``size`` (height, width); ``shift`` moves the principal point, pixels."""
+        cy, sy, cp, sp = math.cos(self.yaw), math.sin(self.yaw), math.cos(self.pitch), math.sin(self.pitch)
+        ahead = np.array([cy * cp, sy * cp, sp])
+        right = np.array([sy, -cy, 0.0])
+        down = np.cross(ahead, right)
+        cr, sr = math.cos(self.roll), math.sin(self.roll)
+        rotation = np.stack([cr * right + sr * down, cr * down - sr * right, ahead], 1)
+        focal = size[1] / 2 / math.tan(self.field_of_view / 2)
+        camera = Intrinsics(focal, focal, (size[1] - 1) / 2 + shift[0], (size[0] - 1) / 2 + shift[1])
+        return View(np.array(self.position, np.float32), rotation.astype(np.float32), camera, size)
+
+
+def count_parts(view: View, arrays: Arrays, tracer: Tracer, *, nearest: float, middle: float) -> int:
+    """How many parts a few hundred rays find; 0 for a picture of the inside of a thing, of one surface, or of sky.
+
+    Args:
+        nearest: at most 1 % of the rays may end nearer, metres.
+        middle: the median depth must be at least this, metres.
+    """
+    step = max(1, min(view.size) // 18)
+    rays = view.rays(step)
+    hits = tracer.hits(view.position, rays)
+    seen = hits.triangle >= 0
+    if seen.mean() < 0.4 or (hits.distance < nearest).mean() > 0.01 or np.median(hits.distance[seen]) < middle:
+        return 0
+    counts = np.unique(arrays.owner[hits.triangle[seen]], return_counts=True)[1]
+    return 0 if counts.max() > 0.55 * len(rays) else len(counts)
