@@ -1,0 +1,140 @@
+"""DIML/CVL RGB-D: rooms by a Kinect v2 and streets by stereo cameras, as two data sets."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from zoedepth.camera import Intrinsics
+from zoedepth.data.readers import read_png
+from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.errors import InputError
+
+_SAMPLES = {"train": ("train/HR", "train/LR"), "test": ("test/HR", "test/LR", "HR", "LR")}
+"""Where the sample release's photos of a split may lie; the largest is taken. ZoeDepth's folder is test/ itself."""
+
+_FARTHEST_INDOOR = 65500
+_MIN_CONFIDENCE = 0.9
+
+
+class DIMLIndoor(PublishedDataset):
+    """Rooms by a Kinect v2, its depth filled and enlarged to the photo. The full release is all "train".
+
+    It has, others say, about 220 000 pairs; their camera is the one that others' loaders take.
+    """
+
+    about = About(
+        title="DIML/CVL RGB-D indoor",
+        page="https://dimlrgbd.github.io/",
+        licence="custom",
+        kind="depth",
+        domain="indoor",
+        layout="""
+<scene>/<date>/<batch>/col/<name>_c.png                    (full release)
+<scene>/<date>/<batch>/up_png/<name>_<suffix>.png
+  or (sample release; split "test": test/, or its HR/ alone)
+train/HR/<scene>/color/<name>_c.png                        (or train/LR/...)
+train/HR/<scene>/depth_filled/<name>_depth_filled.png
+""",
+        unit="16-bit PNG, millimetres, unknown where 0 or above 65500",
+        splits={"train": None, "test": 503},
+    )
+
+    def list_frames(self) -> Sequence[Frame]:
+        for folder in _SAMPLES[self.split]:
+            if photos := sorted(self.root.glob(f"{folder}/*/color/*_c.png")):
+                return [
+                    Frame(
+                        photo, photo.parents[1] / "depth_filled" / f"{photo.stem.removesuffix('_c')}_depth_filled.png"
+                    )
+                    for photo in photos
+                ]
+        frames = []
+        for folder in self.find("*/*/*/col" if self.split == "train" else "test/HR/*/color/*_c.png"):
+            depths = folder.with_name("up_png")
+            # One suffix for all of a folder, which is not documented.
+            one = min(depths.glob("*.png"), default=None)
+            suffix = one.stem.rpartition("_")[2] if one else "*"
+            for photo in sorted(folder.glob("*_c.png")):
+                frames.append(Frame(photo, depths / f"{photo.stem.removesuffix('_c')}_{suffix}.png"))
+        return frames
+
+    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        stored = _read_millimetres(frame)
+        return stored.astype(np.float32) / 1000, (stored > 0) & (stored <= _FARTHEST_INDOOR)
+
+    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+        return Intrinsics(1081, 1081, 704, 396) if size == (792, 1408) else None
+
+
+class DIMLOutdoor(PublishedDataset):
+    """Streets, parks and buildings by stereo cameras, depth by stereo matching. The full release is all "train".
+
+    "test" is the sample release's 500, in the layout that ZoeDepth tests on. Whether the paper tested on these, in this
+    unit, is not certain: the released code, run on them, gives another result than the paper's.
+    """
+
+    about = About(
+        title="DIML/CVL RGB-D outdoor",
+        page="https://dimlrgbd.github.io/",
+        licence="custom",
+        kind="depth",
+        domain="outdoor",
+        layout="""
+<folder>/<batch>/left/<name>_left.png            (full release)
+<folder>/<batch>/depth/<name>_depth.png
+<folder>/<batch>/conf/<name>_conf.png            (optional)
+  or (sample release; split "test": test/, or its HR/ alone, or any folder with these two)
+train/HR/outleft/<name>.png                      (or train/LR/...)
+train/HR/depthmap/<name>.png
+train/HR/confidencemap/<name>.png                (optional; not read for "test")
+""",
+        unit="16-bit PNG, millimetres, unknown where 0 or where the 8-bit confidence / 255 is not above 0.9",
+        splits={"train": None, "test": 500},
+    )
+
+    def list_frames(self) -> Sequence[Frame]:
+        for folder in (*_SAMPLES[self.split], *(["*"] if self.split == "test" else [])):
+            if photos := sorted(self.root.glob(f"{folder}/outleft/*.png")):
+                return [
+                    Frame(
+                        photo,
+                        photo.parents[1] / "depthmap" / photo.name,
+                        # The paper's protocol scores all depth.
+                        () if self.split == "test" else _optional(photo.parents[1] / "confidencemap" / photo.name),
+                    )
+                    for photo in photos
+                ]
+        frames = []
+        for photo in self.find("*/*/left/*_left.png" if self.split == "train" else "test/HR/outleft/*.png"):
+            batch, name = photo.parents[1], photo.stem.removesuffix("_left")
+            confidence = _optional(batch / "conf" / f"{name}_conf.png")
+            frames.append(Frame(photo, batch / "depth" / f"{name}_depth.png", confidence))
+        return frames
+
+    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        stored = _read_millimetres(frame)
+        known = stored > 0
+        for path in frame.masks:
+            confidence = read_png(path)
+            if confidence.shape != stored.shape:
+                raise InputError(f"{path} is {confidence.shape} and {frame.target} is {stored.shape}: sizes must agree")
+            known &= confidence > 255 * _MIN_CONFIDENCE
+        return stored.astype(np.float32) / 1000, known
+
+    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+        # The ZED's at its full size; the principal point is not published and taken as the middle.
+        return Intrinsics(1398.4, 1398.4, 959.5, 539.5) if size == (1080, 1920) else None
+
+
+def _optional(path: Path) -> tuple[Path, ...]:
+    """The file, which must exist if its folder does."""
+    return (path,) if path.parent.is_dir() else ()
+
+
+def _read_millimetres(frame: Frame) -> np.ndarray:
+    assert frame.target is not None
+    stored = read_png(frame.target)
+    if stored.dtype != np.uint16:
+        raise InputError(f"{frame.target} must have 16 bits; it has {8 * stored.dtype.itemsize}")
+    return stored

@@ -1,0 +1,48 @@
+"""HR-WSI: stereo photos of the web, in the layout of its archive."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zoedepth.data.readers import read_png
+from zoedepth.data.targets import read_mask
+from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.errors import InputError
+
+
+class HRWSI(PublishedDataset):
+    """Stereo photos of all kinds from the web; disparity by optical flow, up to scale and shift. The camera is unknown.
+
+    The masks say where the flow forward and the flow backward agree. The instance masks are not needed.
+    """
+
+    about = About(
+        title="HR-WSI",
+        page="https://kexianhust.github.io/Structure-Guided-Ranking-Loss/",
+        licence="non-commercial, research",
+        kind="disparity",
+        domain="",
+        layout="""
+train/imgs/<name>.jpg             (split "val": val/)
+train/gts/<name>.png
+train/valid_masks/<name>.png
+""",
+        unit="8-bit PNG, disparity without a unit, unknown where the mask is 0",
+        splits={"train": 20378, "val": 400},
+    )
+
+    def list_frames(self) -> Sequence[Frame]:
+        folder = self.root / self.split
+        return [
+            Frame(photo, folder / f"gts/{photo.stem}.png", masks=(folder / f"valid_masks/{photo.stem}.png",))
+            for photo in self.find(f"{self.split}/imgs/*.jpg")
+        ]
+
+    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        assert frame.target is not None
+        disparity, known = read_png(frame.target).astype(np.float32), read_mask(frame.masks[0])
+        if known.shape != disparity.shape:
+            raise InputError(
+                f"{frame.masks[0]} is {known.shape} and {frame.target} is {disparity.shape}: sizes must agree"
+            )
+        return disparity, known

@@ -1,0 +1,86 @@
+"""3D Movies: frames of films, in the layout that the authors' scripts make."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from zoedepth.data.readers import read_png, read_png_with_text
+from zoedepth.data.targets import read_mask
+from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.errors import InputError
+
+_MAX_UNCERTAINTY = 20
+"""As stored: 2 pixels, the authors' threshold."""
+
+
+class Movies3D(PublishedDataset):
+    """Frames of 3-D films; disparity by optical flow, signed, at half the frames' size. The camera is unknown.
+
+    There is nothing to download but lists and scripts: buy the films, then extract frames and make disparity with the
+    scripts. Films of a list that are not there are left out. The sky has the least disparity of its frame, where it is
+    known; the authors segment it with any network, and do not say where to put the masks: the folder is ours.
+    """
+
+    about = About(
+        title="3D Movies",
+        page="https://github.com/lasinger/3DVideos2Stereo",
+        licence="scripts MIT; the films must be bought",
+        kind="disparity",
+        domain="",
+        layout="""
+lists/train.txt, validation.txt, test.txt                 (from the page; split "val": validation.txt)
+image_left/exodus/chapter2/out00000005.jpg                (by run_extractFrames.sh)
+disparity/exodus/chapter2/out00000005.png                 (by get_disp_and_uncertainty.py)
+uncertainty/exodus/chapter2/out00000005.png               (likewise)
+sky/exodus/chapter2/out00000005.png                       (optional, not 0 is sky, of the frame's or half its size)
+""",
+        unit="16-bit PNG, disparity = offset + scale * value (its text chunks), pixels; unknown where uncertainty, "
+        "8-bit PNG in 0.1 pixels, is above 2",
+        splits={"train": 75074, "val": 3058, "test": 788},
+    )
+
+    def list_frames(self) -> Sequence[Frame]:
+        name = f"lists/{'validation' if self.split == 'val' else self.split}.txt"
+        listed = [row[0] for row in self.lines(name, origin="from github.com/lasinger/3DVideos2Stereo")]
+        films = {path.name for path in self.find("image_left/*")}
+        # In this order: read_target goes by it.
+        masks = ("uncertainty", "sky") if (self.root / "sky").is_dir() else ("uncertainty",)
+        return [
+            Frame(
+                self.inside(f"image_left/{frame}.jpg"),
+                self.inside(f"disparity/{frame}.png"),
+                masks=tuple(self.inside(f"{folder}/{frame}.png") for folder in masks),
+            )
+            for frame in listed
+            if frame.split("/")[0] in films
+        ]
+
+    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        assert frame.target is not None
+        stored, text = read_png_with_text(frame.target)
+        try:
+            offset, scale = float(text["offset"]), float(text["scale"])
+        except (KeyError, ValueError) as error:
+            raise InputError(f"{frame.target} needs the text chunks 'offset' and 'scale', numbers") from error
+        if not (math.isfinite(offset) and math.isfinite(scale) and scale > 0):
+            raise InputError(f"{frame.target} has offset {offset} and scale {scale}: need finite ones, scale > 0")
+        disparity, known = (offset + scale * stored).astype(np.float32), np.ones(stored.shape, bool)
+        for path in frame.masks[:1]:
+            known = _fitting(read_png(path) <= _MAX_UNCERTAINTY, path, stored.shape)
+        for path in frame.masks[1:]:
+            sky = read_mask(path)
+            if sky.shape == (2 * stored.shape[0], 2 * stored.shape[1]):
+                sky = sky[::2, ::2]
+            sky = _fitting(sky, path, stored.shape)
+            if known.any():
+                disparity[sky] = disparity[known].min()
+                known = known | sky
+        return disparity, known
+
+
+def _fitting(mask: np.ndarray, path: Path, size: tuple[int, ...]) -> np.ndarray:
+    if mask.shape != size:
+        raise InputError(f"{path} is {mask.shape} and its disparity is {size}: sizes must agree")
+    return mask

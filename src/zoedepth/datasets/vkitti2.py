@@ -1,0 +1,70 @@
+"""Virtual KITTI 2, in the layout of its archives of photos and depth."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from zoedepth.camera import Intrinsics
+from zoedepth.data.readers import read_png
+from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.errors import InputError
+
+_FOLDERS = (("vkitti_2.0.3_rgb", "vkitti_2.0.3_depth"), ("rgb", "depth"), (".", "."))
+"""(photos, depth): each archive in a folder of its name, as ZoeDepth wants them, or both in one folder."""
+
+_SKY = 65535
+_TEST_SHARE = 0.08
+
+
+class VKITTI2(PublishedDataset):
+    """Rendered drives of KITTI, left camera, in ten kinds of weather and view.
+
+    There is no official split, and the paper's 8 % were drawn without a seed and are lost. "test" is our own 8 %: the
+    photos whose names below Scene*/ have the smallest SHA-256. It has the paper's number of photos, not its photos.
+    """
+
+    about = About(
+        title="Virtual KITTI 2",
+        page="https://europe.naverlabs.com/research/computer-vision/proxy-virtual-worlds-vkitti-2/",
+        licence="CC BY-NC-SA 3.0",
+        kind="depth",
+        domain="outdoor",
+        layout="""
+vkitti_2.0.3_rgb/Scene01/clone/frames/rgb/Camera_0/rgb_00000.jpg          (or rgb/Scene01/..., or Scene01/...)
+vkitti_2.0.3_depth/Scene01/clone/frames/depth/Camera_0/depth_00000.png    (or depth/Scene01/..., or Scene01/...)
+""",
+        unit="16-bit PNG, centimetres, 65535 is sky",
+        splits={"train": 19559, "test": 1701},
+    )
+
+    def list_frames(self) -> Sequence[Frame]:
+        photos_in, depth_in = next(both for both in _FOLDERS if (self.root / both[0]).is_dir())
+        base = self.root / photos_in
+        photos = {
+            path.relative_to(base).as_posix(): path
+            for path in self.find(f"{photos_in}/Scene*/*/frames/rgb/Camera_0/rgb_*.jpg")
+        }
+        drawn = sorted(photos, key=lambda name: hashlib.sha256(name.encode()).digest())
+        n_test = round(_TEST_SHARE * len(drawn))
+        chosen = sorted(drawn[:n_test] if self.split == "test" else drawn[n_test:])
+        return [Frame(photos[name], self.root / depth_in / _depth_name(name)) for name in chosen]
+
+    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        assert frame.target is not None
+        stored = read_png(frame.target)
+        if stored.dtype != np.uint16:
+            raise InputError(f"{frame.target} must have 16 bits; it has {8 * stored.dtype.itemsize}")
+        return stored.astype(np.float32) / 100, (stored > 0) & (stored < _SKY)
+
+    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+        # Of all 1242x375 photos; intrinsic.txt of the archive textgt.
+        return Intrinsics(725.0087, 725.0087, 620.5, 187.0)
+
+
+def _depth_name(photo: str) -> Path:
+    """Scene01/clone/frames/rgb/Camera_0/rgb_00000.jpg → Scene01/clone/frames/depth/Camera_0/depth_00000.png"""
+    scene, variant, frames, _, camera, name = photo.split("/")
+    number = Path(name).stem.removeprefix("rgb_")
+    return Path(scene, variant, frames, "depth", camera, f"depth_{number}.png")
