@@ -46,7 +46,7 @@ def train(command: list[str], out: Path) -> list[dict[str, float]]:
                 "2",
             ],
             ["train/ssi", "train/weight/indoor", "train/weight/outdoor", "train/weight/relative"],
-        ),  # fmt: skip
+        ),
     ],
     ids=["metric", "relative with Pareto weights"],
 )

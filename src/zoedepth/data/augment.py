@@ -11,6 +11,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from zoedepth.data.sample import Sample
 
@@ -25,7 +27,12 @@ def augment(sample: Sample, augmentations: Sequence[Augmentation], rng: np.rando
 
 
 def fit_crop(
-    size: tuple[int, int], *, max_zoom: float = 1.0, probability: float = 1.0, scale_depth: bool = True
+    size: tuple[int, int],
+    *,
+    max_zoom: float = 1.0,
+    probability: float = 1.0,
+    scale_depth: bool = True,
+    sparse: bool = False,
 ) -> Augmentation:
     """A window of the photo, of the shape of ``size``, resized to it.
 
@@ -38,6 +45,7 @@ def fit_crop(
         max_zoom: z is drawn log-uniformly from 1 to this.
         probability: share of the samples that are zoomed; the others have z = 1.
         scale_depth: divide depth by z. False is a change of focal length instead.
+        sparse: depth is known at scattered points, all of which are kept: see :func:`gather_points`.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -47,17 +55,17 @@ def fit_crop(
         scale = max(size[0] / height, size[1] / width) * zoom
         window = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
         top, left = int(rng.integers(0, height - window[0] + 1)), int(rng.integers(0, width - window[1] + 1))
-        return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0)
+        return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0, sparse)
 
     return apply
 
 
-def squeeze(size: tuple[int, int]) -> Augmentation:
-    """The whole photo resized to ``size``, whatever its shape (the released training)."""
+def squeeze(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
+    """The whole photo resized to ``size``, whatever its shape (the released training); ``sparse``: see ``fit_crop``."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         height, width = sample.image.shape[-2:]
-        return _resized_window(sample, 0, 0, (height, width), size, 1.0)
+        return _resized_window(sample, 0, 0, (height, width), size, 1.0, sparse)
 
     return apply
 
@@ -162,16 +170,43 @@ def _map(sample: Sample, change: Callable[[torch.Tensor], torch.Tensor]) -> Samp
 
 
 def _resized_window(
-    sample: Sample, top: int, left: int, window: tuple[int, int], size: tuple[int, int], zoom: float
+    sample: Sample, top: int, left: int, window: tuple[int, int], size: tuple[int, int], zoom: float, sparse: bool
 ) -> Sample:
     cropped = _map(sample, lambda x: x[:, top : top + window[0], left : left + window[1]])
     camera = sample.camera and sample.camera.cropped(top, left).scaled(size[0] / window[0], size[1] / window[1])
     image = F.interpolate(cropped.image[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
-    # Nearest: the mean of a near and a far depth is a depth of nothing.
-    target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
-    mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
+    if sparse:
+        target, mask = gather_points(cropped.target, cropped.mask, size, nearest_is_smallest=sample.kind == "depth")
+    else:
+        # Nearest pixel: the mean of a near and a far depth is a depth of nothing.
+        target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
+        mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
     target = target / zoom if sample.kind == "depth" else target
     if camera and zoom != 1:
         # Nearer, through the lens of before: the picture is the same, the focal length is not.
         camera = replace(camera, fx=camera.fx / zoom, fy=camera.fy / zoom)
     return replace(sample, image=image.clamp(0, 1), target=target, mask=mask, camera=camera)
+
+
+def gather_points(
+    target: Float[Tensor, "1 height width"],
+    mask: Bool[Tensor, "1 height width"],
+    size: tuple[int, int],
+    *,
+    nearest_is_smallest: bool,
+) -> tuple[Float[Tensor, "1 _ _"], Bool[Tensor, "1 _ _"]]:
+    """Scattered depth at another size: each known point goes to the pixel it falls in, the nearest of several wins.
+
+    Args:
+        target: depth, or disparity.
+        mask: where it is known.
+        size: (height, width) of the result.
+        nearest_is_smallest: True for depth, False for disparity.
+    """
+    rows, columns = mask[0].nonzero(as_tuple=True)
+    values = target[0, rows, columns]
+    pixel = (rows * size[0] // mask.shape[1]) * size[1] + columns * size[1] // mask.shape[2]
+    found = torch.full((size[0] * size[1],), torch.inf if nearest_is_smallest else -torch.inf)
+    found = found.scatter_reduce(0, pixel, values, "amin" if nearest_is_smallest else "amax").view(1, *size)
+    known = found.isfinite()
+    return found.masked_fill(~known, 0), known

@@ -18,17 +18,20 @@ _INDOOR = SourceConfig(
 )
 _OUTDOOR = replace(_INDOOR, name="outdoor", weight=1, kitti_crop=True, max_zoom=1.25, rotate_degrees=1.0)
 
+_SYNTHETIC = replace(_INDOOR, name="synthetic", weight=3)
+
 
 def relative() -> TrainConfig:
     """Stage 1: from ImageNet weights, on depth and disparity together.
 
     ``zoedepth train zoed_lite_relative --data indoor=nyu outdoor=kitti relative=relative --out runs/relative --init
-    imagenet``: 17 minutes on two cores (AVX-512, AMX); the loss ends near 0.41.
+    imagenet``: 17 minutes on two cores (AVX-512, AMX); the loss ends near 0.41. ``synthetic=synthetic:all`` adds
+    rendered scenes.
     """
     return TrainConfig(
         stage="relative",
         model=ZOED_LITE,
-        sources=(_INDOOR, _OUTDOOR, replace(_INDOOR, name="relative", weight=1)),
+        sources=(_INDOOR, _OUTDOOR, replace(_INDOOR, name="relative", weight=1), _SYNTHETIC),
         steps=250,
         optim=OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
     )
@@ -44,7 +47,11 @@ def metric() -> TrainConfig:
     return TrainConfig(
         stage="metric",
         model=ZOED_LITE,
-        sources=(replace(_INDOOR, max_zoom=1.4, zoom_probability=0.5), replace(_OUTDOOR, zoom_probability=0.5)),
+        sources=(
+            replace(_INDOOR, max_zoom=1.4, zoom_probability=0.5),
+            replace(_OUTDOOR, zoom_probability=0.5),
+            _SYNTHETIC,
+        ),
         steps=1400,
         batch_size=8,
         optim=OptimConfig(learning_rate=8e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),

@@ -6,6 +6,8 @@ from typing import Literal
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 
+Precision = Literal["auto", "bf16-mixed", "16-mixed", "32-true"]
+
 
 @dataclass(frozen=True)
 class SourceConfig:
@@ -15,6 +17,8 @@ class SourceConfig:
     """The NAME in ``--data NAME=PATH``."""
     weight: int = 1
     """Its turns in a round of the mixture."""
+    sparse: bool = False
+    """Depth is known at scattered points (lidar): resizing keeps each, where taking every n-th pixel loses most."""
     gradient_term: bool = True
     """Stage 1: the gradient term of the loss is used. Not for scattered depth, which has no neighbours (DPT)."""
     crop: Literal["squeeze", "fit"] = "squeeze"
@@ -113,8 +117,9 @@ class TrainConfig:
     """Keep the statistics of the encoder's batch norms as pre-trained (released)."""
     ema_decay: float | None = None
     """Keep, save and validate an exponential moving average of the weights with this decay."""
-    precision: Literal["bf16-mixed", "16-mixed", "32-true"] = "bf16-mixed"
-    """Autocast of the forward; the losses and the weights are float32."""
+    precision: Precision = "auto"
+    """Autocast of the forward; the losses and the weights are float32. auto: bfloat16 on hardware made for it, or else
+    float32, or on such GPUs float16."""
     holdout: int = 0
     """The last pairs of each data set, this many, are not trained on but validated on."""
     validate_every: int = 500

@@ -21,7 +21,7 @@ from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.log import Log
 from zoedepth.train.optim import build_optimizer, set_rates
 from zoedepth.train.pictures import predictions_sheet
-from zoedepth.train.processes import launch_fabric, several_processes, total
+from zoedepth.train.processes import launch_fabric, resolve, several_processes, total
 from zoedepth.train.sources import augmentations, load_sources
 from zoedepth.train.start import start_from
 from zoedepth.train.state import TrainState, averaged, checkpoints
@@ -162,7 +162,7 @@ class Run:
         )
         norm = cast(Tensor, clipped).item()
         # Half precision's loss scaling meets infinite gradients and skips the step; elsewhere they would end the run.
-        if self.config.precision != "16-mixed" and not math.isfinite(norm):
+        if resolve(self.config.precision) != "16-mixed" and not math.isfinite(norm):
             raise TrainingError(self._explain("norm of the gradients", norm, batch))
         return norm
 

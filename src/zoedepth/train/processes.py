@@ -1,14 +1,14 @@
 """The processes of a run: one, several on this machine, or those that torchrun has started on many."""
 
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 import torch.distributed as distributed
 from torch import Tensor
 
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.train.config import TrainConfig
+from zoedepth.train.config import Precision, TrainConfig
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -41,10 +41,24 @@ def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> 
     several = devices * n_nodes > 1
     strategy = DDPStrategy(find_unused_parameters=True) if several else "auto"
     fabric = Fabric(
-        accelerator="auto", devices=devices, num_nodes=n_nodes, precision=config.precision, strategy=strategy
+        accelerator="auto", devices=devices, num_nodes=n_nodes, precision=resolve(config.precision), strategy=strategy
     )
     fabric.launch()
     return fabric
+
+
+def resolve(precision: Precision) -> Literal["bf16-mixed", "16-mixed", "32-true"]:
+    """The precision that "auto" stands for on this machine.
+
+    A CPU that computes bfloat16 by way of float32 takes ten times as long for a convolution (AVX2: docs/log.md).
+    """
+    if precision != "auto":
+        return precision
+    if torch.cuda.is_available():
+        return "bf16-mixed" if torch.cuda.is_bf16_supported() else "16-mixed"
+    if torch.backends.mps.is_available():
+        return "32-true"
+    return "bf16-mixed" if torch.ops.mkldnn._is_mkldnn_bf16_supported() else "32-true"
 
 
 def total(x: Tensor) -> Tensor:

@@ -54,9 +54,16 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
     domains = config.model.domains
     steps = [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
-        steps.append(augment.fit_crop(config.model.size, max_zoom=source.max_zoom, probability=source.zoom_probability))
+        steps.append(
+            augment.fit_crop(
+                config.model.size,
+                max_zoom=source.max_zoom,
+                probability=source.zoom_probability,
+                sparse=source.sparse,
+            )
+        )
     else:
-        steps.append(augment.squeeze(config.model.size))
+        steps.append(augment.squeeze(config.model.size, sparse=source.sparse))
     steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
     steps.append(
         augment.jitter_colors(
@@ -67,10 +74,12 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
             saturation=source.saturation,
         )
     )
-    ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
-    steps.append(partial(_limit_by_domain, ranges=ranges))
     if config.stage == "relative":
+        # However far: in disparity the farthest is 0, and the sky is a teacher too.
         steps.append(augment.to_disparity())
+    else:
+        ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
+        steps.append(partial(_limit_by_domain, ranges=ranges))
     return steps
 
 

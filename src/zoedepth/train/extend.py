@@ -1,0 +1,75 @@
+"""A model with room for more: further domains, larger ranges."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+from torch import nn
+
+from zoedepth.config import Domain, ModelConfig
+from zoedepth.model.router import LabeledRouter
+from zoedepth.model.zoedepth import ZoeDepth
+
+_ROUND = (1, 2, 3, 5, 8, 10)
+
+
+def extended_config(config: ModelConfig, far: Mapping[str, float]) -> ModelConfig:
+    """A config that has a head for each domain and reaches as far as its data.
+
+    A model of a single domain takes all photos, whatever their domain is called: it keeps its one head.
+
+    Args:
+        config: of the model there is.
+        far: domain of the data → metres of its farthest depth.
+    """
+    domains = {domain.name: domain for domain in config.domains}
+    for name, metres in far.items():
+        name = config.domains[0].name if len(config.domains) == 1 else name
+        old = domains.get(name)
+        if old is None or metres > old.max_depth:
+            domains[name] = replace(old or Domain(name), max_depth=_round_up(metres))
+    return replace(config, domains=tuple(domains.values()))
+
+
+def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
+    """A model of the extended config with the weights of the one there is.
+
+    A new domain starts as a copy of the head whose range is most like its own, and of that domain's row in the router's
+    last layer: of two equal scores the first wins, so nothing changes until training tells the two apart.
+    """
+    new = ZoeDepth(config).eval()
+    new.encoder.load_state_dict(model.encoder.state_dict())
+    new.decoder.load_state_dict(model.decoder.state_dict())
+    new.shared.load_state_dict(model.shared.state_dict())
+    old = model.config.domains
+    origin = [_most_like(domain, old) for domain in config.domains]
+    for head, index in zip(new.heads, origin, strict=True):
+        head.load_state_dict(model.heads[index].state_dict())
+    if not isinstance(model.router, LabeledRouter):
+        _copy_router(model.router, new.router, origin)
+    return new
+
+
+def _most_like(domain: Domain, old: tuple[Domain, ...]) -> int:
+    """The index of the domain of the same name, or else of the nearest range."""
+    names = [known.name for known in old]
+    if domain.name in names:
+        return names.index(domain.name)
+    distances = [abs(math.log(domain.max_depth / known.max_depth)) for known in old]
+    return distances.index(min(distances))
+
+
+def _copy_router(old: nn.Module, new: nn.Module, origin: list[int]) -> None:
+    """Rows of the last layer, one a domain, from those they come from; everything else as it is."""
+    weights = old.state_dict()
+    with torch.no_grad():
+        for name, parameter in new.named_parameters():
+            given = weights[name]
+            parameter.copy_(given if given.shape == parameter.shape else given[origin])
+
+
+def _round_up(metres: float) -> float:
+    """To 1, 2, 3, 5, 8 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(metres))
+    return next(step * power for step in _ROUND if step * power >= metres * (1 - 1e-9))

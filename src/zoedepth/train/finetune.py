@@ -1,0 +1,197 @@
+"""Stage 2 on somebody's own data, in one call: a look at it, defaults that fit it, training, and what it brought."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+from torch.utils.data import Subset
+
+from zoedepth.card import model_card
+from zoedepth.config import ModelConfig
+from zoedepth.data.open import open_dataset
+from zoedepth.data.sample import DepthDataset, Sample
+from zoedepth.errors import InputError
+from zoedepth.evaluation.evaluate import evaluate
+from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.protocols import protocol_of
+from zoedepth.evaluation.summary import Summary, summarise
+from zoedepth.images import atomic_path, write_image
+from zoedepth.metrics import Metrics
+from zoedepth.pretrained import load_model, save_model
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+from zoedepth.train.extend import extended, extended_config
+from zoedepth.train.metric import train_metric
+from zoedepth.train.pictures import data_sheet
+from zoedepth.train.survey import Survey, survey
+
+INITIAL = "initial.safetensors"
+"""The model training starts from, in the run's folder."""
+
+ROUTER_RIGHT = 0.95
+"""Share of held-out photos that the router has to send to the head of their label, or else it is trained as well."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is going to be done, before it is."""
+
+    config: TrainConfig
+    data: dict[str, str]
+    surveys: dict[str, Survey]
+    init: str
+    new_domains: tuple[str, ...]
+    """Domains that the model gets a head for."""
+    unseen_domains: tuple[str, ...]
+    """Domains of the model that the data has no example of."""
+
+
+def plan(
+    data: Mapping[str, str],
+    *,
+    init: str,
+    out: Path,
+    domain: str | None = None,
+    depth_scale: float | None = None,
+    holdout: int | None = None,
+    steps: int | None = None,
+    batch_size: int | None = None,
+    learning_rate: float | None = None,
+    seed: int = 43,
+) -> Plan:
+    """Look at the data, and choose what fits it; also writes ``out/data.jpg``, a picture of it.
+
+    Args:
+        data: NAME → SOURCE, whatever :func:`zoedepth.data.open.open_dataset` opens.
+        init: model to start from, for ``load_model``.
+        out: the run's folder.
+        domain: scene type of photos whose data says none.
+        depth_scale: stored value of one metre, where the data says none.
+        holdout: the last pairs of each set, kept for the comparison; None: every seventh of them, 1 to 50.
+        steps, batch_size, learning_rate: None: by the number of pairs and the kind of encoder.
+        seed: of everything that is drawn.
+
+    Raises:
+        InputError: the data cannot be read, or is not enough.
+    """
+    surveys, samples, held_out = {}, [], []
+    for name, source in data.items():
+        dataset = _open(source, name, domain=domain, depth_scale=depth_scale)
+        surveys[name], some = survey(dataset, name=name)
+        samples += some
+        held_out.append(holdout if holdout is not None else min(50, max(1, len(dataset) // 7)))
+        if len(dataset) - held_out[-1] < 1:
+            raise InputError(f"{source} has {len(dataset)} pairs: a holdout of {held_out[-1]} leaves none to train on")
+    out.mkdir(parents=True, exist_ok=True)
+    write_image(out / "data.jpg", data_sheet(samples[:8]))
+    model = load_model(init)
+    if not model.config.domains:
+        raise InputError(f"{init} gives relative depth only; train metric heads on it: zoedepth train RECIPE --init")
+    far: dict[str, float] = {}
+    for found in surveys.values():
+        for scene, metres in found.far.items():
+            far[scene] = max(metres, far.get(scene, 0.0))
+    config = extended_config(model.config, far)
+    known, wanted = {d.name for d in model.config.domains}, {d.name for d in config.domains}
+    n = sum(found.n for found in surveys.values()) - sum(held_out)
+    batch_size = batch_size or min(4, n)
+    chosen = TrainConfig(
+        stage="metric",
+        model=config,
+        sources=tuple(_source(name, found) for name, found in surveys.items()),
+        steps=steps or _steps(n, batch_size),
+        batch_size=batch_size,
+        optim=_optim(config, learning_rate),
+        # With one known domain only there is nothing to tell apart, and its label alone would teach to say it always:
+        # left alone, unless the router is wrong about these photos (see finetune).
+        domain_weight=1.0 if len(config.domains) > 1 and (len(far) > 1 or wanted > known) else 0.0,
+        ema_decay=0.99,
+        holdout=min(held_out),
+        validate_every=max(1, (steps or _steps(n, batch_size)) // 5),
+        checkpoint_every=100,
+        seed=seed,
+    )
+    return Plan(
+        chosen, dict(data), surveys, init, tuple(sorted(wanted - known)),
+        tuple(sorted(known - set(far))) if len(known) > 1 else (),
+    )  # fmt: skip
+
+
+def finetune(
+    plan: Plan,
+    *,
+    out: Path,
+    domain: str | None,
+    depth_scale: float | None,
+    devices: int | None = None,
+    n_nodes: int = 1,
+) -> dict[str, tuple[Summary, Summary]]:
+    """Do it, or go on with it; returns what is measured on the held-out pairs of each set, before and after.
+
+    ``out`` then holds ``model.safetensors``, its card ``README.md``, and ``metrics.json``; checkpoints and logs are in
+    ``out/run``.
+    """
+    model = load_model(plan.init)
+    start = out / INITIAL
+    save_model(extended(model, plan.config.model), start)
+    before = {name: _measure(str(start), name, plan, domain, depth_scale, "before") for name in plan.data}
+    config = plan.config
+    if any(summary.router is not None and summary.router < ROUTER_RIGHT for summary in before.values()):
+        config = replace(config, domain_weight=1.0)
+    last = train_metric(config, data=plan.data, out=out / "run", init=str(start), devices=devices, n_nodes=n_nodes)
+    after = {name: _measure(str(last), name, plan, domain, depth_scale, "after") for name in plan.data}
+    save_model(load_model(last), out / "model.safetensors")
+    measured = {name: (before[name], after[name]) for name in plan.data}
+    _write(out, plan, measured)
+    return measured
+
+
+def _open(source: str, name: str, *, domain: str | None, depth_scale: float | None) -> DepthDataset:
+    return open_dataset(source, name=name, split="train", domain=domain, depth_scale=depth_scale)
+
+
+def _source(name: str, found: Survey) -> SourceConfig:
+    """Windows of the photo at the scale the network sees photos at: the user's camera is the one to be learned."""
+    return SourceConfig(name, crop="fit", sparse=found.sparse, rotate_degrees=2.0, color_probability=0.8)
+
+
+def _steps(n: int, batch_size: int) -> int:
+    """Forty epochs of a few dozen pairs, five of ten thousands (the paper's number)."""
+    epochs = min(40.0, max(5.0, 40.0 * (30 / n) ** 0.4))
+    return max(100, round(epochs * n / batch_size))
+
+
+def _optim(config: ModelConfig, learning_rate: float | None) -> OptimConfig:
+    """Convolutional encoders take larger rates than the paper's transformers."""
+    if config.encoder.family == "convolutional":
+        return OptimConfig(
+            learning_rate=learning_rate or 3e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0
+        )
+    return OptimConfig(learning_rate=learning_rate or 1.61e-4, warmup=0.3, initial_division=20)
+
+
+def _measure(model: str, name: str, plan: Plan, domain: str | None, depth_scale: float | None, label: str) -> Summary:
+    dataset = _open(plan.data[name], name, domain=domain, depth_scale=depth_scale)
+    n = len(dataset)
+    held_out: Sequence[Sample] = Subset(dataset, range(n - plan.config.holdout, n))  # type: ignore[arg-type,assignment]
+    protocols = {scene: protocol_of(scene) for scene in dataset.domains}
+    with torch.no_grad():
+        results = evaluate(ModelSource(load_model(model)), held_out, protocols)
+    return summarise(label, name, list(results.scores.values()), protocols, n_failed=len(results.failures))
+
+
+def _write(out: Path, plan: Plan, measured: Mapping[str, tuple[Summary, Summary]]) -> None:
+    metrics: dict[str, Metrics] = {}
+    for name, (_, after) in measured.items():
+        if after.metrics is not None:
+            metrics[f"{name} (held out, {after.n_scored} pairs, {', '.join(after.protocols.values())})"] = after.metrics
+    trained_on = ", ".join(f"{name} ({found.n - plan.config.holdout} pairs)" for name, found in plan.surveys.items())
+    card = model_card(
+        plan.config.model, name="model.safetensors", layout="zoedepth", metrics=metrics,
+        trained_on=f"{trained_on}; before that, what {plan.init} was trained on",
+    )  # fmt: skip
+    values = {name: {"before": asdict(a), "after": asdict(b)} for name, (a, b) in measured.items()}
+    for path, text in ((out / "README.md", card), (out / "metrics.json", json.dumps(values, indent=2) + "\n")):
+        with atomic_path(path) as part:
+            part.write_text(text, encoding="utf-8")

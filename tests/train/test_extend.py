@@ -1,0 +1,51 @@
+"""A model with further domains is the old one until it is trained."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from zoedepth.config import INDOOR, OUTDOOR, Domain, RouterConfig
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.train.extend import extended, extended_config
+
+
+def pixels() -> torch.Tensor:
+    return torch.rand(4, 3, 64, 64, generator=torch.Generator().manual_seed(1))
+
+
+def test_known_domains_within_their_range_change_nothing(tiny_config):
+    assert extended_config(tiny_config, {"indoor": 7.3}) == tiny_config
+
+
+@pytest.mark.parametrize(("far", "expected"), [(10.4, 20.0), (19.9, 20.0), (20.0, 20.0), (61.0, 80.0), (101.0, 200.0)])
+def test_range_grows_to_a_round_number(tiny_config, far: float, expected: float):
+    config = extended_config(tiny_config, {"indoor": far})
+    assert config.domains == (replace(INDOOR, max_depth=expected), OUTDOOR)
+
+
+def test_new_domain_gets_a_head_of_its_own_at_the_end(tiny_config):
+    config = extended_config(tiny_config, {"warehouse": 27.0, "indoor": 3.0})
+    assert config.domains == (INDOOR, OUTDOOR, Domain("warehouse", 1e-3, 30.0))
+
+
+def test_model_of_one_domain_keeps_its_one_head(tiny_config):
+    config = extended_config(replace(tiny_config, domains=(INDOOR,)), {"warehouse": 27.0})
+    assert config.domains == (replace(INDOOR, max_depth=30.0),)
+
+
+@pytest.mark.parametrize("classifier", ["mlp", "transformer"])
+def test_extended_model_says_what_the_old_one_said(tiny_config, classifier: str):
+    torch.manual_seed(0)
+    config = replace(tiny_config, router=RouterConfig("trained", classifier=classifier, width=16))
+    old = ZoeDepth(config).eval()
+    new = extended(old, extended_config(config, {"warehouse": 27.0}))
+    with torch.no_grad():
+        before, after = old(pixels()), new(pixels())
+        warehouse = new(pixels(), domain=torch.full((4,), 2))
+        outdoor = old(pixels(), domain=torch.full((4,), 1))
+    assert torch.equal(before.depth, after.depth)
+    assert torch.equal(before.domain, after.domain)
+    # 30 m is nearer to 80 than to 10, as ratios go: a copy of the outdoor head, and of its score.
+    assert torch.equal(warehouse.depth, outdoor.depth)
+    assert torch.equal(after.domain_logits[:, 2], before.domain_logits[:, 1])
