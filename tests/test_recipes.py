@@ -39,8 +39,10 @@ def test_recipe_takes_a_step(name: str, tiny_config: ModelConfig, tmp_path: Path
         model=dataclasses.replace(
             recipe.model, encoder=tiny_config.encoder, decoder=tiny_config.decoder, size=(64, 96)
         ),
+        pictures=0,
         steps=1,
         batch_size=2,
+        accumulate=1,
         n_workers=0,
         holdout=0,
     )
@@ -49,7 +51,7 @@ def test_recipe_takes_a_step(name: str, tiny_config: ModelConfig, tmp_path: Path
         if source.name == "relative":
             data[source.name] = write_disparity_pairs(tmp_path / source.name)
         else:
-            domain = source.name if source.name in ("indoor", "outdoor") else "indoor"
+            domain = {"outdoor": "outdoor", "kitti": "outdoor"}.get(source.name, "indoor")
             size = (375, 1242) if source.kitti_crop else (48, 64)
             data[source.name] = write_pairs(tmp_path / source.name, n=1, size=size, domain=domain)
 

