@@ -3,10 +3,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench docs clean
+.PHONY: demo demo-train test lint bench docs clean
 
 demo: $(VENV)/.installed-demo
 	$(BIN)/zoedepth demo --out demo
+
+demo-train: $(VENV)/.installed-train,synthetic
+	$(BIN)/zoedepth demo-train --out demo-train
 
 test: $(VENV)/.installed-dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4
@@ -23,7 +26,7 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) demo site
+	rm -rf $(VENV) demo demo-train site
 
 # The stamp is written last, so an interrupted installation is taken up again.
 $(VENV)/.installed-%: pyproject.toml | $(BIN)/python

@@ -45,6 +45,12 @@ def _data() -> Callable[[Sequence[str]], int]:
     return data
 
 
+def _demo_train() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.demo_train import demo_train
+
+    return _with_options(demo_train)
+
+
 def _models() -> Callable[[Sequence[str]], int]:
     from zoedepth.commands.models import models
 
@@ -65,6 +71,7 @@ def _push() -> Callable[[Sequence[str]], int]:
 
 COMMANDS = {
     "demo": Command("depth of three real photographs, with the error where the truth is known", _demo),
+    "demo-train": Command("train a tiny model in both stages on rendered scenes", _demo_train),
     "predict": Command("depth in metres of photos, folders or globs", _predict),
     "train": Command("train a recipe, or go on with it", _train),
     "evaluate": Command("score a model on photos with known depth, under the paper's protocol", _evaluate),

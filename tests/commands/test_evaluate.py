@@ -348,7 +348,7 @@ class TestErrors:
 
     def test_set_without_a_pixel_in_the_crop_is_no_silent_success(self, model: Path, tmp_path: Path, capsys):
         small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")
-        assert main(["evaluate", "--model", str(model), "--data", str(small)]) == 1
+        assert main(["evaluate", "--model", str(model), "--data", str(small), "--crop", "eigen"]) == 1
         assert "no image has a known pixel" in capsys.readouterr().err
 
     def test_several_processes_must_have_a_folder_to_meet_in(self, model: Path, tmp_path: Path, capsys, monkeypatch):

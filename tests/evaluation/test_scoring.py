@@ -134,7 +134,7 @@ def test_errors_outside_the_crop_do_not_count_and_all_inside_do(
 
 @pytest.mark.parametrize(
     ("truth", "protocol"),
-    [([[0.0]], EVERYWHERE), ([[20.0]], EVERYWHERE), (np.full((40, 40), 2.0), INDOOR)],
+    [([[0.0]], EVERYWHERE), ([[20.0]], EVERYWHERE), (np.full((40, 40), 2.0), replace(INDOOR, crop="eigen"))],
     ids=["unknown", "too far", "outside the crop"],
 )
 def test_photo_without_a_scored_pixel_has_no_score(truth: object, protocol: Protocol) -> None:

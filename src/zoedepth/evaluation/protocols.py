@@ -103,7 +103,7 @@ _RELEASED = {
 
 _PAPER = (_NYU, _SUN, _IBIMS, _DIODE_IN, _HYPERSIM, _KITTI, _VKITTI, _DDAD, _DIML, _DIODE_OUT)
 
-INDOOR = Protocol("indoor", max_depth=10.0, crop="eigen")
+INDOOR = Protocol("indoor", max_depth=10.0, crop="eigen-scaled")
 OUTDOOR = Protocol("outdoor", max_depth=80.0, crop="garg", kitti_crop=True)
 PLAIN = Protocol("plain", max_depth=1000.0)
 
@@ -113,8 +113,8 @@ PROTOCOLS: dict[str, Protocol] = {
         f"{protocol.name}-released": replace(protocol, name=f"{protocol.name}-released", **_RELEASED[protocol.name])
         for protocol in _PAPER
     },
-    # For folders and CSV files of your own, by their domain: NYU's and KITTI's, but for photos that keep their
-    # proportions.
+    # For data of your own, by its domain: NYU's and KITTI's, but for photos that keep their proportions, and an Eigen
+    # crop that goes with the size of the photo (on 480x640 it is the same).
     "indoor": INDOOR,
     "outdoor": OUTDOOR,
     "plain": PLAIN,

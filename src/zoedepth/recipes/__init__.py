@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from zoedepth.recipes import metric, relative, zoed_lite
+from zoedepth.recipes import demo, metric, relative, zoed_lite
 from zoedepth.train.config import TrainConfig
 
 
@@ -14,6 +14,8 @@ def _named(build: Callable[[str], TrainConfig], *presets: str) -> dict[str, Call
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "zoed_lite_relative": zoed_lite.relative,
     "zoed_lite": zoed_lite.metric,
+    "demo_relative": demo.relative,
+    "demo": demo.metric,
     # Stage 1.
     "relative_m12_curated": relative.m12_curated,
     "relative_m12": relative.m12,

@@ -55,8 +55,8 @@ def _prediction_row(predictor: Predictor, sample: Sample, stage: Literal["relati
 
 
 def _truth(sample: Sample, *, as_disparity: bool) -> tuple[DepthArray, Bool[np.ndarray, "height width"]]:
-    """The target, small, and where it is known."""
-    scale = min(1.0, _WIDTH / sample.image.shape[2])
+    """The target at the width of a panel, and where it is known."""
+    scale = _WIDTH / sample.image.shape[2]
     size = (max(1, round(sample.image.shape[1] * scale)), max(1, round(sample.image.shape[2] * scale)))
     truth, known = (
         F.interpolate(x[None].float(), size, mode="nearest-exact")[0, 0].numpy() for x in (sample.target, sample.mask)

@@ -1,0 +1,30 @@
+"""Both stages, small enough for a coffee break: rendered scenes, 96x128, a minute or two on two cores."""
+
+from dataclasses import replace
+
+from zoedepth.presets import ZOED_LITE
+from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+
+_MODEL = replace(ZOED_LITE, size=(96, 128))
+_SCENES = SourceConfig("scenes", crop="fit", max_zoom=1.2, rotate_degrees=2.0)
+_OPTIM = OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0)
+
+
+def relative() -> TrainConfig:
+    """Stage 1. ``zoedepth demo-train`` runs it."""
+    return TrainConfig(
+        stage="relative",
+        model=_MODEL,
+        sources=(_SCENES,),
+        steps=60,
+        batch_size=8,
+        optim=_OPTIM,
+        holdout=12,
+        validate_every=30,
+        log_every=5,
+    )
+
+
+def metric() -> TrainConfig:
+    """Stage 2, from stage 1. ``zoedepth demo-train`` runs it."""
+    return replace(relative(), stage="metric", steps=120, domain_weight=1.0, ema_decay=0.95, validate_every=60)
