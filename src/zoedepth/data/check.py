@@ -23,8 +23,8 @@ N_SHOWN = 8
 _VALUES_PER_PAIR = 10_000
 _PANEL, _WIDE_PANEL = (300, 440), (300, 880)
 """A panel of the sheet fits into this (height, width); the other is for photos more than twice as wide as high."""
-_SPARSE = 0.3
-"""Share of known pixels below which depth is taken for scattered points."""
+SPARSE = 0.3
+"""Share of known pixels below which depth counts as scattered points: lidar has 5 to 20 %, a Kinect 60 to 100 %."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def _panels(sample: Sample) -> tuple[ImageArray, ImageArray]:
         vmin, vmax = depth_range(target, percentiles=(1.0, 99.0))
         colormap, unit, what = "magma_r", "m", f"{low:.2f} to {high:.2f} m"
     caption = f"{what}, {known.mean():.0%} known"
-    if known.mean() < _SPARSE:
+    if known.mean() < SPARSE:
         target = _gathered(target)
     colors = colorize(target, vmin=vmin, vmax=vmax, colormap=colormap)
     bar = color_bar(size[0], vmin=vmin, vmax=vmax, colormap=colormap, unit=unit)

@@ -52,14 +52,12 @@ def train_relative(
             present = n_images > 0
             if config.task_weights == "images":
                 weights = n_images / n_images.sum().clamp(min=1)
-            elif (
-                state.task_weights is None
-                or (present & (state.task_weights == 0)).any()
-                or run.is_turn(config.pareto_every)
-            ):
-                weights = state.task_weights = pareto_weights(tasks, present, config, run)
             else:
-                weights = state.task_weights * present / (state.task_weights * present).sum()
+                solved = state.task_weights
+                if solved is None or run.is_turn(config.pareto_every) or not _covers(solved, present):
+                    solved = state.task_weights = pareto_weights(tasks, present, config, run)
+                weights = solved.nan_to_num() * present
+                weights = weights / weights.sum()
             loss = (weights * tasks).sum()
             shown = (
                 {source.name: i for i, source in enumerate(run.sources) if present[i]} if len(run.sources) > 1 else {}
@@ -92,7 +90,7 @@ def task_losses(
 def pareto_weights(
     tasks: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"], config: TrainConfig, run: Run
 ) -> Float[Tensor, " tasks"]:
-    """The weights of the multi-objective step for the data sets of this batch; 0 for the others."""
+    """The weights of the multi-objective step for the data sets of this batch; NaN for the others."""
     part = run.state.model.decoder if config.pareto_parameters == "decoder" else run.network
     parameters = [parameter for parameter in part.parameters() if parameter.requires_grad]
     rows = []
@@ -104,6 +102,11 @@ def pareto_weights(
         distributed.all_reduce(gradients)
         gradients /= distributed.get_world_size()
     gram = normalized(gradients @ gradients.T, tasks[present].detach(), config.pareto_normalizer)
-    weights = torch.zeros_like(tasks)
+    weights = torch.full_like(tasks, torch.nan)
     weights[present] = min_norm_weights(gram).to(weights)
     return weights
+
+
+def _covers(weights: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"]) -> bool:
+    """Whether these weights say something of every data set of a batch, and not that all of them are worth nothing."""
+    return bool(weights[present].sum() > 0)  # NaN is not

@@ -5,14 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zoedepth.data.check import SPARSE, evenly
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 
 MOST = 200
 """Pairs that are looked at, evenly spread, of what may be millions."""
-
-SPARSE = 0.3
-"""Share of known pixels below which depth counts as scattered points: lidar has 5 to 20 %, a Kinect 60 to 100 %."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +44,8 @@ def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
     Raises:
         InputError: a pair cannot be read, its depth is disparity, or no depth is known at all.
     """
-    places = [round(i) for i in np.linspace(0, len(data) - 1, min(len(data), MOST))]
-    shown = set(places[:: max(1, len(places) // 6)][:6])
+    places = evenly(range(len(data)), MOST)
+    shown = set(evenly(places, 6))
     sizes: Counter[tuple[int, int]] = Counter()
     count: Counter[str] = Counter()
     known, values, samples = [], {}, []
