@@ -44,7 +44,7 @@ def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         Image.fromarray(depth).save(tmp_path / folder / "depth" / "0001.png")
         for split in ("train", "test"):
             (tmp_path / folder / f"{split}.csv").write_text(
-                f"image,depth,depth_scale,domain\nimage/0001.jpg,depth/0001.png,1000,{domain}\n"
+                "image,depth,depth_scale,domain\n" + 2 * f"image/0001.jpg,depth/0001.png,1000,{domain}\n"
             )
     # The released weights cannot be had here: a small random model in their file's layout.
     small = twin(twin_config(heads=(NYU, KITTI)))
@@ -69,11 +69,13 @@ def test_commands(workplace: Path) -> None:
     assert {line.split()[1] for line in lines} == {"predict", "evaluate", "train", "models"}
     for line in lines:
         # The commands as they are, but for the length of the training.
-        line = line.replace("--config.steps 500", "").replace("step_000500", "step_000001")
-        if line.split()[1] == "train":
+        if line.split()[1:3] == ["train", "finetune"]:
+            line += " --steps 1 --batch-size 1"
+        elif line.split()[1] == "train":
             line += " --config.steps 1 --config.batch-size 2 --config.n-workers 0"
         assert main(shlex.split(line)[1:]) == 0, line
     assert (workplace / "depth" / "photo_depth.png").is_file()
+    assert (workplace / "runs/mine/README.md").is_file()
     assert (workplace / "depth" / "a_preview.jpg").is_file()
 
 

@@ -113,7 +113,7 @@ def _with_options(function: Callable[..., int]) -> Callable[[Sequence[str]], int
     def run(arguments: Sequence[str]) -> int:
         import tyro
 
-        prog = f"zoedepth {function.__name__}"
+        prog = f"zoedepth {function.__name__.replace('_', '-')}"
         return tyro.cli(function, args=list(arguments), prog=prog)
 
     return run

@@ -57,7 +57,7 @@ def list_(*, markdown: bool = False, json_: Annotated[bool, tyro.conf.arg(name="
         cells = (name, about.title, about.kind, about.domain, _pairs(about), about.licence, about.page)
         table.add_row(*map(Text, cells))
     console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=220)
+    console = console if console.is_terminal else Console(highlight=False, width=300)
     console.print(table)
     return 0
 
