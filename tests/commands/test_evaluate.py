@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.cli import main
@@ -345,6 +346,27 @@ class TestErrors:
         stills.write_text(stills.read_text().replace(".png,", ".png,indoor"))
         assert "disparity" in error(capsys, "--model", model, "--data", stills)
         assert "each name once" in error(capsys, "--model", model, "--data", f"a={good}", f"a={good}")
+
+    def test_published_set_in_its_official_folder_has_the_papers_protocol(self, model: Path, tmp_path: Path, capsys):
+        scene = tmp_path / "official_splits/test/kitchen"
+        scene.mkdir(parents=True)
+        Image.new("RGB", (640, 480), (90, 60, 30)).save(scene / "rgb_00045.jpg")
+        Image.fromarray(np.full((480, 640), 2500, np.uint16)).save(scene / "sync_depth_00045.png")
+        (found,) = run(capsys, "--model", f"tiny={model}", "--data", f"nyu={tmp_path}")
+        assert found["protocols"] == {"indoor": PROTOCOLS["nyu"].label}
+        (found,) = run(capsys, "--model", f"tiny={model}", "--data", f"nyu={tmp_path}", "--protocol", "plain")
+        assert found["protocols"] == {"indoor": PROTOCOLS["plain"].label}
+
+    def test_masks_are_left_out_where_the_protocol_says_so(self, model: Path, tmp_path: Path, capsys):
+        stem = tmp_path / "val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010"
+        stem.parent.mkdir(parents=True)
+        Image.new("RGB", (640, 480), (90, 60, 30)).save(f"{stem}.png")
+        np.save(f"{stem}_depth.npy", np.full((480, 640, 1), 2.5, np.float32))
+        np.save(f"{stem}_depth_mask.npy", np.zeros((480, 640)))
+        arguments = ["--model", f"tiny={model}", "--data", f"diode-indoor={tmp_path}"]
+        (found,) = run(capsys, *arguments, "--protocol", "diode-indoor-released")
+        assert found["images"] == 1
+        assert main(["evaluate", *arguments, "--protocol", "diode-indoor"]) == 1  # nothing is known
 
     def test_set_without_a_pixel_in_the_crop_is_no_silent_success(self, model: Path, tmp_path: Path, capsys):
         small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")

@@ -60,6 +60,14 @@ def test_each_takes_its_own_of_a_folder_with_both(tmp_path: Path, name: str, kin
     assert [frame.image.parts[-4] for frame in dataset.frames] == [kind, kind]
 
 
+def test_masks_can_be_left_out_as_released(tmp_path: Path):
+    write_diode(tmp_path, "val", "indoors", 2.5)
+    sample = DATASETS["diode-indoor"](tmp_path, split="test", use_masks=False)[0]
+    assert sample.mask[0, 0].all()
+    assert (sample.target[0, 0] == 2.5).all()
+    assert not sample.mask[0, 1:3].any()
+
+
 def test_a_mask_of_another_size_is_an_error(tmp_path: Path):
     write_diode(tmp_path, "val", "indoors", 2.5)
     dataset = DATASETS["diode-indoor"](tmp_path, split="test")

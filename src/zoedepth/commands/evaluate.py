@@ -13,7 +13,7 @@ import tyro
 
 from zoedepth.commands.data import named_paths, named_sources
 from zoedepth.errors import InputError
-from zoedepth.evaluation.protocols import Protocol, find_protocol, protocol_of
+from zoedepth.evaluation.protocols import PROTOCOLS, Protocol, find_protocol, protocol_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -49,9 +49,10 @@ def evaluate(
 ) -> int:
     """Score models, and other people's depth maps, on photos with known depth.
 
-    The protocol follows from the domain in the CSV file: indoor is NYU's (Eigen crop, 10 m), outdoor KITTI's (KB crop,
-    then Garg crop, 80 m), any other has no crop. Every result carries the name and the hash of its protocol. Under
-    torchrun the processes share the images. An interrupted run with --out goes on when the command is typed again.
+    A published data set in its official folder has the paper's protocol. That of other data follows from its domain:
+    indoor is NYU's (Eigen crop, 10 m), outdoor KITTI's (KB crop, then Garg crop, 80 m), any other has no crop. Every
+    result carries the name and the hash of its protocol. Under torchrun the processes share the images. An interrupted
+    run with --out goes on when the command is typed again.
 
     Args:
         data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md), or the official folder
@@ -98,7 +99,7 @@ def evaluate(
         require_matplotlib()
     processes = _join(Processes.from_environment(), out)
     given = named_sources(data)
-    sets = {name: _open(name, source) for name, source in given.items()}
+    sets = {name: _open(name, source, use_masks=_uses_masks(name, protocol)) for name, source in given.items()}
     protocols = _protocols(sets, protocol, changes)
     sources = _sources(model, predictions, trivial, protocols, compat=compat, device=device)
     summaries: list[Summary] = []
@@ -153,10 +154,17 @@ def evaluate(
     return 1 if failed else 0
 
 
-def _open(name: str, source: str) -> "DepthDataset":
+def _uses_masks(name: str, wanted: Sequence[str]) -> bool:
+    """Whether the protocol of a data set goes by the set's own masks."""
+    given = {data: find_protocol(value) for data, _, value in (entry.rpartition("=") for entry in wanted)}
+    chosen = given.get(name) or given.get("")
+    return chosen is None or chosen.use_mask
+
+
+def _open(name: str, source: str, *, use_masks: bool) -> "DepthDataset":
     from zoedepth.data.open import open_dataset
 
-    dataset = open_dataset(source, name=name, split="test", allow_missing=True)
+    dataset = open_dataset(source, name=name, split="test", allow_missing=True, use_masks=use_masks)
     if "disparity" in dataset.kinds:
         raise InputError(f"{source} has disparity, in which there are no metres to score")
     return dataset
@@ -172,13 +180,17 @@ def _content(source: str) -> str | None:
 def _protocols(
     sets: "Mapping[str, DepthDataset]", wanted: Sequence[str], changes: Mapping[str, object]
 ) -> dict[str, dict[str, Protocol]]:
-    """Data set → domain → protocol. The one given for a data set goes before the one for all."""
+    """Data set → domain → protocol. The one given for a data set goes before the one for all, and that before the
+    paper's for a published set in its official folder."""
+    from zoedepth.datasets.published import PublishedDataset
+
     given = {data: find_protocol(value) for data, _, value in (entry.rpartition("=") for entry in wanted)}
     if unknown := sorted(given.keys() - sets.keys() - {""}):
         raise InputError(f"--protocol is given for {unknown}; the data is {sorted(sets)}")
     found = {}
     for name, dataset in sets.items():
         chosen = given.get(name) or given.get("")
+        chosen = chosen or (PROTOCOLS.get(name) if isinstance(dataset, PublishedDataset) else None)
         used = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
         found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}  # type: ignore[arg-type]  # a dict of fields
     return found

@@ -39,6 +39,7 @@ def open_dataset(
     allow_missing: bool = False,
     depth_scale: float | None = None,
     domain: str | None = None,
+    use_masks: bool = True,
 ) -> DepthDataset:
     """Photos with depth, wherever and however they are kept.
 
@@ -50,6 +51,7 @@ def open_dataset(
         allow_missing: photos without depth are no error, where the format knows such.
         depth_scale: the stored value of one metre, where nobody says it.
         domain: scene type, where nobody says it.
+        use_masks: of a published set, see :class:`zoedepth.datasets.published.PublishedDataset`.
 
     Raises:
         InputError: there is no such data, or it is not in order; the message says what is accepted.
@@ -66,6 +68,8 @@ def open_dataset(
             raise InputError(f"cannot open {text}: the address must be that of {INDEX_FILE} or a .tar; {ACCEPTED}")
         return ShardDataset(text, depth_scale=depth_scale, domain=domain)
     path = Path(source)
+    if path.is_dir() and name in DATASETS and not use_masks:
+        return DATASETS[name](path, split=split, allow_missing=allow_missing, use_masks=False)
     if path.is_dir():
         return _open_folder(
             path, name=name, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain

@@ -51,7 +51,8 @@ val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010_depth_mask.npy
         depth, mask = read_npy(frame.target).astype(np.float32), read_npy(frame.masks[0])
         if mask.shape != depth.shape:
             raise InputError(f"{frame.masks[0]} is {mask.shape} and {frame.target} is {depth.shape}: sizes must agree")
-        return depth, (mask > 0) & np.isfinite(depth) & (depth > 0)
+        valid = mask > 0 if self.use_masks else np.ones(depth.shape, bool)
+        return depth, valid & np.isfinite(depth) & (depth > 0)
 
     def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
         # Of the 1024x768 photos; intrinsics.txt of the devkit.

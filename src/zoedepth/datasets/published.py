@@ -68,6 +68,8 @@ class PublishedDataset(Dataset[Sample], ABC):
         root: its folder, as ``about.layout`` shows it.
         split: one of ``about.splits``.
         allow_missing: frames without truth, or whose files are missing, are no error here; ``missing_files`` tells.
+        use_masks: False leaves out the set's own masks of where depth is valid, as the released evaluation does on
+            DIODE; of the other sets it changes nothing.
 
     Raises:
         InputError: no such split; the folder is not as expected, or files are missing: what and where is said.
@@ -75,8 +77,11 @@ class PublishedDataset(Dataset[Sample], ABC):
 
     about: ClassVar[About]
 
-    def __init__(self, root: str | Path, *, split: str = "train", allow_missing: bool = False) -> None:
+    def __init__(
+        self, root: str | Path, *, split: str = "train", allow_missing: bool = False, use_masks: bool = True
+    ) -> None:
         self.root = Path(root)
+        self.use_masks = use_masks
         if split not in self.about.splits:
             raise InputError(f"{self.about.title} has no split {split!r}; it has {list(self.about.splits)}")
         self.split = split
