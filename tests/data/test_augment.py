@@ -373,3 +373,28 @@ def test_disparity_without_contrast_is_zero(value: float) -> None:
     result = augment.to_disparity()(Sample(torch.zeros(3, 3, 4), target, target > 0, "depth", "", ""), rng())
     assert (result.target == 0).all()
     assert result.kind == "disparity"
+
+
+# --- scattered points -----------------------------------------------------------------------------------------------
+
+
+def test_every_scattered_point_is_kept_and_the_nearest_of_a_pixel_wins():
+    """Four by four to two by two: each quarter keeps its nearest point; every second pixel would have found one."""
+    depth = torch.zeros(1, 4, 4)
+    for row, column, metres in ((0, 1, 7.0), (1, 1, 3.0), (1, 2, 5.0), (3, 3, 2.0)):
+        depth[0, row, column] = metres
+    target, known = augment.gather_points(depth, depth > 0, (2, 2), nearest_is_smallest=True)
+    assert target.tolist() == [[[3.0, 5.0], [0.0, 2.0]]]
+    assert known.tolist() == [[[True, True], [False, True]]]
+    target, _ = augment.gather_points(depth, depth > 0, (2, 2), nearest_is_smallest=False)
+    assert target.tolist() == [[[7.0, 5.0], [0.0, 2.0]]]
+
+
+def test_squeezed_lidar_keeps_its_points():
+    depth = torch.where(torch.rand(1, 64, 96, generator=torch.Generator().manual_seed(0)) < 0.01, 5.0, 0.0)
+    lidar = Sample(torch.zeros(3, 64, 96), depth, depth > 0, "depth", "outdoor", "")
+    sparse = augment.squeeze((32, 48), sparse=True)(lidar, rng())
+    dense = augment.squeeze((32, 48))(lidar, rng())
+    assert sparse.mask.sum() > 0.9 * lidar.mask.sum()
+    assert dense.mask.sum() < 0.5 * lidar.mask.sum()
+    assert (sparse.target[sparse.mask] == 5).all()

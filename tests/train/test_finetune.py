@@ -126,3 +126,20 @@ def test_third_domain_of_scattered_depth_is_added_and_learned(init: str, tmp_pat
     measured = json.loads((out / "metrics.json").read_text())["lidar"]
     assert measured["after"]["router"] == 1
     assert measured["after"]["metrics"]["rel"] < measured["before"]["metrics"]["rel"]
+
+
+def test_unit_and_domain_that_the_data_does_not_say_are_given(init: str, tmp_path: Path, capsys):
+    for index in range(3):
+        for folder, picture in (
+            ("images", np.zeros((48, 64, 3), np.uint8)),
+            ("depth", np.full((48, 64), 500, np.uint16)),
+        ):
+            (tmp_path / "mine" / folder).mkdir(parents=True, exist_ok=True)
+            Image.fromarray(picture).save(tmp_path / f"mine/{folder}/{index}.png")
+    arguments = ["train", "finetune", "--data", str(tmp_path / "mine"), "--init", init, "--steps", "1"]
+    assert main([*arguments, "--out", str(tmp_path / "a"), "--domain", "attic"]) == 2  # 500 of what?
+    assert "depth_scale" in capsys.readouterr().err
+    arguments += ["--depth-scale", "200", "--domain", "attic", "--out", str(tmp_path / "b")]
+    assert main(arguments) == 0
+    assert "attic 2.50 to 2.5 m" in capsys.readouterr().err
+    assert [domain.name for domain in load_model(tmp_path / "b/model.safetensors").config.domains][2] == "attic"

@@ -118,7 +118,7 @@ def finetune(
     )  # fmt: skip
     for line in _described(plan, out):
         console.print(line, soft_wrap=True, markup=False)
-    measured = run(plan, out=out, domain=domain, depth_scale=depth_scale, devices=devices, n_nodes=nodes)
+    measured = run(plan, out=out, devices=devices, n_nodes=nodes)
     if int(os.environ.get("RANK", "0")):
         return 0
     table = Table("held out", "pairs", "model", "REL", "RMSE (m)", "delta1", title="Before and after")

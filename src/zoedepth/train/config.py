@@ -17,6 +17,10 @@ class SourceConfig:
     """The NAME in ``--data NAME=PATH``."""
     weight: int = 1
     """Its turns in a round of the mixture."""
+    domain: str | None = None
+    """Scene type of its photos, where the data itself says none."""
+    depth_scale: float | None = None
+    """Stored value of one metre, where the data itself says none."""
     sparse: bool = False
     """Depth is known at scattered points (lidar): resizing keeps each, where taking every n-th pixel loses most."""
     gradient_term: bool = True

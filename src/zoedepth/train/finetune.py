@@ -10,8 +10,7 @@ from torch.utils.data import Subset
 
 from zoedepth.card import model_card
 from zoedepth.config import ModelConfig
-from zoedepth.data.open import open_dataset
-from zoedepth.data.sample import DepthDataset, Sample
+from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.evaluate import evaluate
 from zoedepth.evaluation.predictions import ModelSource
@@ -24,6 +23,7 @@ from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
+from zoedepth.train.sources import open_source
 from zoedepth.train.survey import Survey, survey
 
 INITIAL = "initial.safetensors"
@@ -77,7 +77,7 @@ def plan(
     """
     surveys, samples, held_out = {}, [], []
     for name, source in data.items():
-        dataset = _open(source, name, domain=domain, depth_scale=depth_scale)
+        dataset = open_source(SourceConfig(name, domain=domain, depth_scale=depth_scale), source)
         surveys[name], some = survey(dataset, name=name)
         samples += some
         held_out.append(holdout if holdout is not None else min(50, max(1, len(dataset) // 7)))
@@ -99,7 +99,9 @@ def plan(
     chosen = TrainConfig(
         stage="metric",
         model=config,
-        sources=tuple(_source(name, found) for name, found in surveys.items()),
+        sources=tuple(
+            replace(_source(name, found), domain=domain, depth_scale=depth_scale) for name, found in surveys.items()
+        ),
         steps=steps or _steps(n, batch_size),
         batch_size=batch_size,
         optim=_optim(config, learning_rate),
@@ -122,8 +124,6 @@ def finetune(
     plan: Plan,
     *,
     out: Path,
-    domain: str | None,
-    depth_scale: float | None,
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> dict[str, tuple[Summary, Summary]]:
@@ -135,20 +135,16 @@ def finetune(
     model = load_model(plan.init)
     start = out / INITIAL
     save_model(extended(model, plan.config.model), start)
-    before = {name: _measure(str(start), name, plan, domain, depth_scale, "before") for name in plan.data}
+    before = {name: _measure(str(start), name, plan, "before") for name in plan.data}
     config = plan.config
     if any(summary.router is not None and summary.router < ROUTER_RIGHT for summary in before.values()):
         config = replace(config, domain_weight=1.0)
     last = train_metric(config, data=plan.data, out=out / "run", init=str(start), devices=devices, n_nodes=n_nodes)
-    after = {name: _measure(str(last), name, plan, domain, depth_scale, "after") for name in plan.data}
+    after = {name: _measure(str(last), name, plan, "after") for name in plan.data}
     save_model(load_model(last), out / "model.safetensors")
     measured = {name: (before[name], after[name]) for name in plan.data}
     _write(out, plan, measured)
     return measured
-
-
-def _open(source: str, name: str, *, domain: str | None, depth_scale: float | None) -> DepthDataset:
-    return open_dataset(source, name=name, split="train", domain=domain, depth_scale=depth_scale)
 
 
 def _source(name: str, found: Survey) -> SourceConfig:
@@ -171,8 +167,9 @@ def _optim(config: ModelConfig, learning_rate: float | None) -> OptimConfig:
     return OptimConfig(learning_rate=learning_rate or 1.61e-4, warmup=0.3, initial_division=20)
 
 
-def _measure(model: str, name: str, plan: Plan, domain: str | None, depth_scale: float | None, label: str) -> Summary:
-    dataset = _open(plan.data[name], name, domain=domain, depth_scale=depth_scale)
+def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
+    (source,) = (source for source in plan.config.sources if source.name == name)
+    dataset = open_source(source, plan.data[name])
     n = len(dataset)
     held_out: Sequence[Sample] = Subset(dataset, range(n - plan.config.holdout, n))  # type: ignore[arg-type,assignment]
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}

@@ -52,6 +52,8 @@ def train_relative(
             present = n_images > 0
             if config.task_weights == "images":
                 weights = n_images / n_images.sum().clamp(min=1)
+            elif not present.any():
+                weights = torch.zeros_like(n_images)
             else:
                 solved = state.task_weights
                 if solved is None or run.is_turn(config.pareto_every) or not _covers(solved, present):
