@@ -102,8 +102,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ZoeDepthError as error:
         print(f"zoedepth {name}: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        print(f"zoedepth {name}: interrupted", file=sys.stderr)
+    except KeyboardInterrupt as interrupt:
+        print(": ".join(filter(None, (f"zoedepth {name}: interrupted", str(interrupt)))), file=sys.stderr)
         return 130
 
 
