@@ -20,11 +20,11 @@ def relative() -> TrainConfig:
         batch_size=8,
         optim=_OPTIM,
         holdout=12,
-        validate_every=30,
+        validate_every=15,
         log_every=5,
     )
 
 
 def metric() -> TrainConfig:
     """Stage 2, from stage 1. ``zoedepth demo-train`` runs it."""
-    return replace(relative(), stage="metric", steps=120, domain_weight=1.0, ema_decay=0.95, validate_every=60)
+    return replace(relative(), stage="metric", steps=120, domain_weight=1.0, ema_decay=0.95, validate_every=20)
