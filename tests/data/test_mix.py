@@ -194,7 +194,7 @@ class InOrder(Numbered):
 
 
 def items(dataset: Dataset[Sample], n: int) -> list[int]:
-    mixed = Mixture([Source(dataset, [])], seed=0)  # type: ignore[arg-type]
+    mixed = Mixture([Source(dataset, [])], seed=0)
     return [mixed.locate(position)[1] for position in range(n)]
 
 

@@ -124,7 +124,7 @@ def test_without_the_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     def refuse(name: str, *arguments: object) -> object:
         if name == "datasets":
             raise ImportError(name)
-        return original(name, *arguments)  # type: ignore[arg-type]
+        return original(name, *arguments)
 
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(MissingExtraError, match=r"zoedepth\[hf\]"):

@@ -1,7 +1,7 @@
 """Stage 2 on somebody's own data, in one call: a look at it, defaults that fit it, training, and what it brought."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from torch.utils.data import Subset
 
 from zoedepth.card import model_card
 from zoedepth.config import ModelConfig
-from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.evaluate import evaluate
 from zoedepth.evaluation.predictions import ModelSource
@@ -171,7 +170,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     (source,) = (source for source in plan.config.sources if source.name == name)
     dataset = open_source(source, plan.data[name])
     n = len(dataset)
-    held_out: Sequence[Sample] = Subset(dataset, range(n - plan.config.holdout, n))  # type: ignore[arg-type,assignment]
+    held_out = Subset(dataset, range(n - plan.config.holdout, n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     with torch.no_grad():
         results = evaluate(ModelSource(load_model(model)), held_out, protocols)

@@ -67,7 +67,7 @@ def total(x: Tensor) -> Tensor:
     DDP averages the gradients of the processes. A loss made of such sums is the same everywhere, and the average of its
     gradients is what one process with the whole batch would have got.
     """
-    return _Total.apply(x) if several_processes() else x  # type: ignore[return-value]
+    return _Total.apply(x) if several_processes() else x  # type: ignore[return-value]  # torch does not say what apply returns
 
 
 def several_processes() -> bool:
@@ -83,6 +83,6 @@ class _Total(torch.autograd.Function):
         return x
 
     @staticmethod
-    def backward(ctx: Any, gradient: Tensor) -> Tensor:  # type: ignore[override]
+    def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         # Each process' loss has this term in it, and all the losses are one and the same.
-        return gradient * distributed.get_world_size()
+        return gradients[0] * distributed.get_world_size()

@@ -34,7 +34,7 @@ def load_sources(
         raise InputError(f"no data: give --data NAME=SOURCE for one or more of {sorted(known)}")
     training, validation = [], {}
     for name in (source.name for source in config.sources if source.name in data):  # not the order of the command line
-        dataset = cast(_Mapped, open_source(known[name], data[name]))
+        dataset = open_source(known[name], data[name])
         if config.stage == "metric" and "disparity" in dataset.kinds:
             raise InputError(f"{data[name]} has disparity; stage 2 needs depth in metres")
         domains = {domain.name for domain in config.model.domains}
@@ -49,9 +49,10 @@ def load_sources(
     return training, validation
 
 
-def open_source(source: SourceConfig, data: str | Path) -> DepthDataset:
+def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
     """The training split of a source's data."""
-    return open_dataset(data, name=source.name, split="train", domain=source.domain, depth_scale=source.depth_scale)
+    found = open_dataset(data, name=source.name, split="train", domain=source.domain, depth_scale=source.depth_scale)
+    return cast(_Mapped, found)
 
 
 def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
