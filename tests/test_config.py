@@ -8,26 +8,32 @@ import pytest
 import torch
 
 import zoedepth.config
+from zoedepth.baseline_config import NETWORK_CONFIGS
 from zoedepth.config import (
     AttractorConfig,
+    BaselineConfig,
+    BtsNetwork,
     DecoderConfig,
     Domain,
+    DornConfig,
+    DornNetwork,
     EncoderConfig,
+    HeadConfig,
     ModelConfig,
+    NetworkConfig,
     RouterConfig,
     from_dict,
+    model_config_from_dict,
     to_dict,
 )
 from zoedepth.errors import InputError
+from zoedepth.head_config import HEAD_CONFIGS
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
 
-CONFIGS = [
-    value
-    for value in vars(zoedepth.config).values()
-    if isinstance(value, type) and dataclasses.is_dataclass(value) and value.__module__ == "zoedepth.config"
-]
+CONFIGS = [EncoderConfig, DecoderConfig, AttractorConfig, RouterConfig, Domain, ModelConfig]
+"""The parts of a ZoeDepth. The other heads' fields are tested with the heads."""
 FIELDS = [(config, field.name) for config in CONFIGS for field in dataclasses.fields(config)]
 IDS = [f"{config.__name__}.{name}" for config, name in FIELDS]
 EVERY_FIELD = pytest.mark.parametrize(("kind", "name"), FIELDS, ids=IDS)
@@ -305,6 +311,60 @@ def test_whole_numbers_are_taken_for_floats(values: dict[str, Any]):
     alpha = from_dict(ModelConfig, values).head.alpha
     assert alpha == 300
     assert isinstance(alpha, float)
+
+
+# --- several kinds of config in one place -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("head", [kind() for kind in HEAD_CONFIGS.values()], ids=list(HEAD_CONFIGS))
+def test_every_head_survives_json(tiny_config: ModelConfig, head: HeadConfig):
+    config = replace(tiny_config, head=head)
+    read = model_config_from_dict(json.loads(json.dumps(to_dict(config))))
+    assert read == config
+    assert type(read.head) is type(head)
+
+
+@pytest.mark.parametrize("network", [kind() for kind in NETWORK_CONFIGS.values()], ids=list(NETWORK_CONFIGS))
+def test_every_baseline_survives_json(network: NetworkConfig):
+    config = BaselineConfig(network, domains=(zoedepth.config.OUTDOOR,), size=(352, 704))
+    read = model_config_from_dict(json.loads(json.dumps(to_dict(config))))
+    assert read == config
+    assert type(read.network) is type(network)
+
+
+def test_files_without_types_are_of_zoedepth_with_attractors(values: dict[str, Any], tiny_config: ModelConfig):
+    """Before there were other kinds, no file said which it is."""
+    del values["type"], values["head"]["type"]
+    assert model_config_from_dict(values) == tiny_config
+
+
+@pytest.mark.parametrize("wrong", ["transformer", "adabins-2", None, 3, ["dorn"]])
+def test_unknown_type_of_head_is_an_error_that_lists_the_known(values: dict[str, Any], wrong: Any):
+    values["head"]["type"] = wrong
+    with pytest.raises(InputError, match=r"config\.head\.type must be one of \['attractor', 'splitter'.*'bts'\]"):
+        model_config_from_dict(values)
+
+
+def test_fields_of_another_head_are_an_error_that_names_them(values: dict[str, Any]):
+    values["head"] = {"type": "dorn", "n_bins": 64}
+    with pytest.raises(InputError, match=r"config\.head has unknown fields \['n_bins'\]; DornConfig has"):
+        model_config_from_dict(values)
+
+
+def test_baseline_has_one_domain_and_a_size_its_network_takes():
+    with pytest.raises(InputError, match="domains must be one"):
+        BaselineConfig(BtsNetwork(), domains=(zoedepth.config.INDOOR, zoedepth.config.OUTDOOR))
+    with pytest.raises(InputError, match="multiples of 32"):
+        BaselineConfig(BtsNetwork(), size=(257, 353))
+    dorn = BaselineConfig(DornNetwork(), size=(257, 353))
+    assert dorn.one_size
+    assert not dorn.keep_aspect_ratio
+    assert BaselineConfig(BtsNetwork()).keep_aspect_ratio
+
+
+def test_dorn_has_no_mixture_of_heads(tiny_config: ModelConfig):
+    with pytest.raises(InputError, match=r"router\.kind must be .*DORN"):
+        replace(tiny_config, head=DornConfig(), router=RouterConfig("auto"))
 
 
 # --- values that make no sense ----------------------------------------------------------------------------------------

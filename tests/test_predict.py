@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 from torch import Tensor, nn
 
-from zoedepth.config import INDOOR, OUTDOOR, RouterConfig
+from zoedepth.config import INDOOR, OUTDOOR, ModelConfig, NaiveConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
@@ -158,6 +158,17 @@ class TestUncertainty:
         result = Predictor(brightness, flip_average=False)(np.full((20, 30, 3), 51, np.uint8))
         np.testing.assert_allclose(result.std, 0.1 * 1.2, rtol=1e-4)
         np.testing.assert_allclose(result.confidence, 1 / 1.1, rtol=1e-4)
+
+    def test_head_without_distribution_has_neither(self, tiny_config: ModelConfig, tmp_path: Path) -> None:
+        model = ZoeDepth(dataclasses.replace(tiny_config, head=NaiveConfig())).eval()
+        photo = np.zeros((50, 70, 3), np.uint8)
+        for flip in (True, False):
+            result = Predictor(model, flip_average=flip)(photo)
+            assert result.std is None
+            assert result.confidence is None
+        result.save(tmp_path / "depth.npz")
+        with np.load(tmp_path / "depth.npz") as arrays:
+            assert set(arrays) == {"depth"}
 
     def test_copies_that_disagree_add_to_the_std(self) -> None:
         class Drifting(Brightness):

@@ -3,10 +3,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from zoedepth.config import Domain
+from zoedepth.config import BaselineConfig, Domain, DornConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.presets import ENCODERS, PRESETS, with_compat
+from zoedepth.presets import BASELINES, ENCODERS, PRESETS, with_compat, with_encoder, with_head
 
 
 def n_parameters(name: str) -> int:
@@ -132,7 +132,8 @@ def test_compat_changes_one_value_each():
         ("zoed-m12-n", "batch-vote", "several heads"),
         ("zoed-m12-n", "10m", "normed"),
         ("zoed-m12-nk", "10m", "normed"),
-        ("zoed-m12-k", "old", r"there are \['10m', 'batch-vote', 'squeeze'\]"),
+        ("zoed-m12-nk", "80m", "baselines"),
+        ("zoed-m12-k", "old", r"there are \['10m', '80m', 'batch-vote', 'squeeze'\]"),
     ],
 )
 def test_compat_a_model_has_not_is_an_error(name: str, compat: str, message: str):
@@ -145,3 +146,33 @@ def test_squeezed_photos_have_the_trained_size():
     config = with_compat(PRESETS["zoed-m12-nk"], ["squeeze"])
     assert not config.keep_aspect_ratio
     assert PRESETS["zoed-m12-nk"].keep_aspect_ratio
+
+
+# --- the systems the paper compares with ------------------------------------------------------------------------------
+
+
+def test_every_baseline_is_there_for_nyu_kitti_and_both():
+    names = ("bts", "adabins", "localbins", "pixelbins", "newcrfs", "dorn")
+    assert set(BASELINES) == {f"{name}-{data}" for name in names for data in ("n", "k", "nk")}
+    for name, config in BASELINES.items():
+        assert config.domains[0].max_depth == (10.0 if name.endswith("-n") else 80.0)
+
+
+def test_baselines_of_kitti_reach_80_metres_by_compat():
+    config = with_compat(BASELINES["adabins-n"], ["80m"])
+    assert isinstance(config, BaselineConfig)
+    assert config.network == BASELINES["adabins-k"].network
+    assert config.domains == BASELINES["adabins-k"].domains
+    for other in ("batch-vote", "10m"):
+        with pytest.raises(InputError):
+            with_compat(BASELINES["adabins-n"], [other])
+
+
+def test_parts_by_name():
+    lite = PRESETS["zoed-lite"]
+    assert with_head(lite, "attractor") is lite, "a head the config has keeps its values"
+    assert with_head(lite, "dorn") == replace(lite, head=DornConfig())
+    with pytest.raises(InputError, match="there is no head 'crf'"):
+        with_head(lite, "crf")
+    with pytest.raises(InputError, match="there is no encoder 'vit'"):
+        with_encoder(lite, "vit")

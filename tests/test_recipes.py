@@ -7,8 +7,17 @@ from pathlib import Path
 import pytest
 from tests.folders import write_disparity_pairs, write_pairs
 
-from zoedepth.config import ModelConfig, from_dict, to_dict
-from zoedepth.presets import PRESETS
+from zoedepth.config import (
+    AnyModelConfig,
+    BaselineConfig,
+    BtsNetwork,
+    ModelConfig,
+    NewCrfsConfig,
+    NewCrfsNetwork,
+    from_dict,
+    to_dict,
+)
+from zoedepth.presets import BASELINES, PRESETS
 from zoedepth.pretrained import load_model
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import TrainConfig
@@ -19,9 +28,13 @@ from zoedepth.train.relative import train_relative
 @pytest.mark.parametrize("name", RECIPES)
 def test_recipe_trains_a_preset_and_is_the_same_every_time(name: str) -> None:
     config = RECIPES[name]()
-    # At whatever size.
-    alike = [preset for preset in PRESETS.values() if preset.encoder == config.model.encoder]
-    assert config.model in [dataclasses.replace(preset, size=config.model.size) for preset in alike]
+    model = config.model
+    if isinstance(model, BaselineConfig):  # at whatever size, with whatever encoder
+        alike = [preset.network for preset in BASELINES.values() if type(preset.network) is type(model.network)]
+        assert model.network in [dataclasses.replace(network, encoder=model.encoder_name) for network in alike]
+    else:  # at whatever size, with whatever head, router and domains
+        alike = [preset for preset in PRESETS.values() if preset.encoder == model.encoder]
+        assert (model.decoder, model.antialias, model.pad) in [(p.decoder, p.antialias, p.pad) for p in alike]
     assert RECIPES[name]() == config
     names = [source.name for source in config.sources]
     assert len(names) == len(set(names)) > 0
@@ -33,13 +46,31 @@ def test_recipe_survives_json(name: str) -> None:
     assert from_dict(TrainConfig, json.loads(json.dumps(to_dict(config)))) == config
 
 
+def _tiny(model: AnyModelConfig, tiny: ModelConfig) -> AnyModelConfig:
+    """The same at a size, and of widths, that take a step in no time."""
+    if isinstance(model, ModelConfig):
+        head = model.head
+        if isinstance(head, NewCrfsConfig):
+            head = dataclasses.replace(head, widths=(32, 16, 16, 8), attention_heads=(4, 2, 2, 1), seed_width=16)
+        return dataclasses.replace(model, encoder=tiny.encoder, decoder=tiny.decoder, head=head, size=(64, 96))
+    size = (65, 97) if model.one_size else (64, 96)
+    network = dataclasses.replace(model.network, encoder="tf_efficientnet_lite0")
+    if isinstance(network, NewCrfsNetwork):
+        network = dataclasses.replace(network, widths=(32, 16, 16, 8), attention_heads=(4, 2, 2, 1))
+    if isinstance(network, BtsNetwork):
+        network = dataclasses.replace(network, width=128)
+    return dataclasses.replace(model, network=network, size=size)
+
+
 @pytest.mark.parametrize("name", RECIPES)
 def test_recipe_takes_a_step(name: str, tiny_config: ModelConfig, tmp_path: Path) -> None:
     recipe = RECIPES[name]()
     config = dataclasses.replace(
         recipe,
-        model=dataclasses.replace(
-            recipe.model, encoder=tiny_config.encoder, decoder=tiny_config.decoder, size=(64, 96)
+        model=_tiny(recipe.model, tiny_config),
+        sources=tuple(
+            dataclasses.replace(source, window=source.window and (64, 96 if source.name == "nyu" else 128))
+            for source in recipe.sources
         ),
         pictures=0,
         steps=1,

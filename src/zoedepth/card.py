@@ -6,7 +6,17 @@ from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any, Literal
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import (
+    AdaBinsNetwork,
+    AnyModelConfig,
+    BaselineConfig,
+    BtsNetwork,
+    DornNetwork,
+    LocalBinsNetwork,
+    ModelConfig,
+    NewCrfsNetwork,
+    PixelBinsNetwork,
+)
 from zoedepth.metrics import HEADINGS, Metrics
 
 # The Hub takes the names of its list only (huggingface.co/docs/hub/repositories-licenses); these are the ones weights
@@ -33,7 +43,7 @@ _CITATION = r"""
 
 
 def model_card(
-    config: ModelConfig,
+    config: AnyModelConfig,
     *,
     name: str,
     layout: Literal["zoedepth", "huggingface"],
@@ -55,7 +65,7 @@ def model_card(
     front = _front_matter(name, layout, licence, metrics or {})
     sections = [
         f"# {name}",
-        f"{_what(config)}, from a single RGB photo: a model of [ZoeDepth](https://arxiv.org/abs/2302.12288) "
+        f"{_what(config)}, from a single RGB photo: {_who(config)} [ZoeDepth](https://arxiv.org/abs/2302.12288) "
         "(Bhat et al. 2023).",
         _architecture(config),
         f"## Use\n\n{_use(config, name, layout)}",
@@ -102,19 +112,35 @@ def _result(data: str, metrics: Metrics) -> dict[str, Any]:
     }
 
 
-def _what(config: ModelConfig) -> str:
+def _what(config: AnyModelConfig) -> str:
     if config.domains:
         return "Depth in metres, along the optical axis"
     return "Relative depth, inverse and up to an unknown scale and shift"
 
 
-def _architecture(config: ModelConfig) -> str:
+_BASELINES = {
+    BtsNetwork: "BTS (Lee et al. 2019)",
+    AdaBinsNetwork: "AdaBins (Bhat et al. 2021)",
+    LocalBinsNetwork: "LocalBins (Bhat et al. 2022)",
+    PixelBinsNetwork: "PixelBins (Sarwari et al. 2021)",
+    NewCrfsNetwork: "NeWCRFs (Yuan et al. 2022)",
+    DornNetwork: "DORN (Fu et al. 2018)",
+}
+
+
+def _who(config: AnyModelConfig) -> str:
+    if isinstance(config, BaselineConfig):
+        return f"{_BASELINES[type(config.network)]}, a baseline of"
+    return "a model of"
+
+
+def _architecture(config: AnyModelConfig) -> str:
     height, width = config.size
     size = (
         "photos are resized near it, their aspect ratio kept" if config.keep_aspect_ratio else "the only one it takes"
     )
     lines = [
-        f"- Encoder: `{config.encoder.name}` (timm).",
+        f"- Encoder: `{config.encoder_name}` (timm).",
         f"- Input: RGB, trained at {height} x {width} pixels (height x width): {size}.",
     ]
     if not config.domains:
@@ -129,17 +155,21 @@ def _architecture(config: ModelConfig) -> str:
     return "\n".join(lines)
 
 
-def _routing(config: ModelConfig) -> str:
+def _routing(config: AnyModelConfig) -> str:
     if len(config.domains) == 1:
         return "for every photo"
-    if config.router.kind == "labeled":
+    if _is_labeled(config):
         return "one for each domain, which the caller names"
     return "one for each domain, which the model chooses for every photo"
 
 
-def _use(config: ModelConfig, name: str, layout: str) -> str:
+def _is_labeled(config: AnyModelConfig) -> bool:
+    return isinstance(config, ModelConfig) and config.router.kind == "labeled"
+
+
+def _use(config: AnyModelConfig, name: str, layout: str) -> str:
     domain = ""
-    if len(config.domains) > 1 and config.router.kind == "labeled":
+    if len(config.domains) > 1 and _is_labeled(config):
         domain = f", domain={_quoted(config.domains[0].name)}"
     if not config.domains:
         return _python(

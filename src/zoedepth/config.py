@@ -10,12 +10,61 @@ import typing
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, Union
 
+from zoedepth.baseline_config import (
+    NETWORK_CONFIGS,
+    AdaBinsNetwork,
+    BtsNetwork,
+    DornNetwork,
+    LocalBinsNetwork,
+    NetworkConfig,
+    NewCrfsNetwork,
+    PixelBinsNetwork,
+)
 from zoedepth.errors import InputError
+from zoedepth.head_config import (
+    HEAD_CONFIGS,
+    AdaBinsConfig,
+    AttractorConfig,
+    BtsConfig,
+    DornConfig,
+    HeadConfig,
+    NaiveConfig,
+    NewCrfsConfig,
+    PixelBinsConfig,
+    SplitterConfig,
+    require,
+)
 
-
-def _require(condition: bool, name: str, expected: str, value: object) -> None:
-    if not condition:
-        raise InputError(f"{name} must be {expected}; it is {value!r}")
+__all__ = [
+    "INDOOR",
+    "OUTDOOR",
+    "AdaBinsConfig",
+    "AdaBinsNetwork",
+    "AnyModelConfig",
+    "AttractorConfig",
+    "BaselineConfig",
+    "BtsConfig",
+    "BtsNetwork",
+    "DecoderConfig",
+    "Domain",
+    "DornConfig",
+    "DornNetwork",
+    "EncoderConfig",
+    "HeadConfig",
+    "LocalBinsNetwork",
+    "ModelConfig",
+    "NaiveConfig",
+    "NetworkConfig",
+    "NewCrfsConfig",
+    "NewCrfsNetwork",
+    "PixelBinsConfig",
+    "PixelBinsNetwork",
+    "RouterConfig",
+    "SplitterConfig",
+    "from_dict",
+    "model_config_from_dict",
+    "to_dict",
+]
 
 
 @dataclass(frozen=True)
@@ -43,10 +92,10 @@ class EncoderConfig:
 
     def __post_init__(self) -> None:
         n_maps = 4 if self.family == "beit" else 0
-        _require(len(self.taps) == n_maps and list(self.taps) == sorted(set(self.taps)), "encoder.taps",
-                 f"{n_maps} increasing numbers for {self.family}", self.taps)  # fmt: skip
-        _require(len(self.channels) == n_maps, "encoder.channels", f"{n_maps} numbers for {self.family}", self.channels)
-        _require(self.mlp_width is None or (self.family == "beit" and self.width is not None), "encoder.mlp_width",
+        require(len(self.taps) == n_maps and list(self.taps) == sorted(set(self.taps)), "encoder.taps",
+                f"{n_maps} increasing numbers for {self.family}", self.taps)  # fmt: skip
+        require(len(self.channels) == n_maps, "encoder.channels", f"{n_maps} numbers for {self.family}", self.channels)
+        require(self.mlp_width is None or (self.family == "beit" and self.width is not None), "encoder.mlp_width",
                  "of BEiT, beside a width", self.mlp_width)  # fmt: skip
 
 
@@ -60,56 +109,6 @@ class DecoderConfig:
     """Channels of the last decoder map, the one the relative depth and the probabilities are predicted from."""
     output_stride: Literal[1, 2] = 1
     """Stride of that last map. 1: as published. 2: a quarter of the work; depth is then upsampled bilinearly."""
-
-
-@dataclass(frozen=True)
-class AttractorConfig:
-    """The metric bins module (paper section 3.2): seed bin centers, attractor layers, probabilities."""
-
-    n_bins: int = 64
-    """Bin centers at every pixel (N_total)."""
-    n_attractors: tuple[int, int, int, int] = (16, 8, 4, 1)
-    """Attractor points at strides 16, 8, 4, 2."""
-    kind: Literal["inverse", "exponential"] = "inverse"
-    """Attractor: Eq. 2 or Eq. 3."""
-    reduce: Literal["sum", "mean"] = "sum"
-    """The pulls of the attractors are summed (paper) or averaged (released)."""
-    alpha: float = 300.0
-    """Strength of the attractors: a center is out of reach beyond about alpha ** (-1 / gamma)."""
-    gamma: float = 2.0
-    """Exponent of the distance in Eqs. 2 and 3."""
-    centers: Literal["softplus", "normed"] = "softplus"
-    """softplus: metres, positive, unbounded. normed: fractions of the depth range of the domain."""
-    attractor_ratio: bool = True
-    """normed only: an attractor is a0 / (a0 + a1) of a pair (intended), or a0 alone (what the released code does)."""
-    relative_input: bool = True
-    """The relative depth is given to the probabilities beside the decoder features (paper)."""
-    probability: Literal["log-binomial", "softmax"] = "log-binomial"
-    """How the probabilities of the bins are predicted: Eq. 4, or a softmax over free logits (ablation)."""
-    bottleneck_factor: int = 2
-    """The hidden width of the probability predictor is its input width divided by this."""
-    min_temperature: float = 0.0212
-    """Lower bound of the temperature t of the log-binomial."""
-    max_temperature: float = 50.0
-    """Upper bound of the temperature t of the log-binomial."""
-    embedding_width: int = 128
-    """Channels of the bin embedding that goes from level to level."""
-    projector_width: int = 128
-    """Hidden channels of the projectors from decoder features to bin embedding."""
-    seed_width: int = 256
-    """Hidden channels of the seed bin regressor."""
-    initial_centers: Literal["random", "geometric"] = "random"
-    """random: as released. geometric (softplus only): a new head starts with centers spread geometrically over its
-    depth range instead of all at 0.7 m, which matters when training is short."""
-
-    def __post_init__(self) -> None:
-        _require(self.n_bins >= 2, "head.n_bins", "at least 2", self.n_bins)
-        _require(len(self.n_attractors) == 4, "head.n_attractors", "four numbers, coarse to fine", self.n_attractors)
-        _require(min(self.n_attractors) >= 1, "head.n_attractors", "at least one attractor", self.n_attractors)
-        _require(0 <= self.min_temperature < self.max_temperature, "head.min_temperature",
-                 "0 <= min_temperature < max_temperature", self.min_temperature)  # fmt: skip
-        _require(self.centers == "softplus" or self.initial_centers == "random", "head.initial_centers",
-                 "'random' for normed centers", self.initial_centers)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -131,10 +130,10 @@ class RouterConfig:
     batch (what the released code and transformers do)."""
 
     def __post_init__(self) -> None:
-        _require(self.vote == "image" or self.kind == "trained", "router.vote", "'image' unless the router is trained",
+        require(self.vote == "image" or self.kind == "trained", "router.vote", "'image' unless the router is trained",
                  self.vote)  # fmt: skip
         if self.classifier == "transformer":
-            _require(self.attention_heads >= 1 and self.width % self.attention_heads == 0, "router.attention_heads",
+            require(self.attention_heads >= 1 and self.width % self.attention_heads == 0, "router.attention_heads",
                      f"a divisor of the width {self.width}", self.attention_heads)  # fmt: skip
 
 
@@ -150,8 +149,8 @@ class Domain:
     """Farthest depth, metres. Bounds normed centers; softplus centers may go beyond."""
 
     def __post_init__(self) -> None:
-        _require(bool(self.name), "domain.name", "a name", self.name)
-        _require(0 < self.min_depth < self.max_depth, f"domain {self.name!r}", "0 < min_depth < max_depth, in metres",
+        require(bool(self.name), "domain.name", "a name", self.name)
+        require(0 < self.min_depth < self.max_depth, f"domain {self.name!r}", "0 < min_depth < max_depth, in metres",
                  (self.min_depth, self.max_depth))  # fmt: skip
 
 
@@ -162,16 +161,10 @@ INDOOR = Domain("indoor", 1e-3, 10.0)
 OUTDOOR = Domain("outdoor", 1e-3, 80.0)
 
 
-@dataclass(frozen=True)
-class ModelConfig:
-    """A whole ZoeDepth model (paper Fig. 2)."""
+@dataclass(frozen=True, kw_only=True)
+class _PhotoConfig:
+    """What every model says of its domains, and of the photos it takes."""
 
-    encoder: EncoderConfig
-    decoder: DecoderConfig = field(default_factory=DecoderConfig)
-    head: AttractorConfig = field(default_factory=AttractorConfig)
-    """Every domain has its own head of this kind."""
-    router: RouterConfig = field(default_factory=RouterConfig)
-    """Ignored with a single domain."""
     domains: tuple[Domain, ...] = (INDOOR,)
     """One metric head each. None at all: the model gives relative depth only (MiDaS)."""
     size: tuple[int, int] = (384, 512)
@@ -187,12 +180,9 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         names = [domain.name for domain in self.domains]
-        _require(len(set(names)) == len(names), "domains", "domains of different names", names)
-        _require(all(0 < side <= MAX_SIDE and side % self.multiple == 0 for side in self.size), "size",
-                 f"(height, width), multiples of {self.multiple} up to {MAX_SIDE}", self.size)  # fmt: skip
-        if self.encoder.family == "swin":
-            _require(self.size == self.encoder.size, "size",
-                     f"{self.encoder.size}, the only one {self.encoder.name} takes", self.size)  # fmt: skip
+        require(len(set(names)) == len(names), "domains", "domains of different names", names)
+        require(all(0 < side <= MAX_SIDE and side % self.multiple == 0 for side in self.size), "size",
+                f"(height, width), multiples of {self.multiple} up to {MAX_SIDE}", self.size)  # fmt: skip
 
     @property
     def multiple(self) -> int:
@@ -200,26 +190,122 @@ class ModelConfig:
         return 32
 
     @property
+    def one_size(self) -> bool:
+        """Whether the network takes inputs of ``size`` only."""
+        return False
+
+    @property
     def keep_aspect_ratio(self) -> bool:
-        """Whether photos keep their proportions; Swin's position tables and windows allow one size only."""
-        return self.resize == "keep-aspect" and self.encoder.family != "swin"
+        """Whether photos keep their proportions."""
+        return self.resize == "keep-aspect" and not self.one_size
+
+    @property
+    def encoder_name(self) -> str:
+        """timm's name of the encoder."""
+        raise NotImplementedError  # abstract: the two kinds of config below keep it in different places
+
+
+@dataclass(frozen=True)
+class ModelConfig(_PhotoConfig):
+    """A whole ZoeDepth model (paper Fig. 2)."""
+
+    encoder: EncoderConfig
+    decoder: DecoderConfig = field(default_factory=DecoderConfig)
+    head: HeadConfig = field(default_factory=AttractorConfig)
+    """Every domain has its own head of this kind."""
+    router: RouterConfig = field(default_factory=RouterConfig)
+    """Ignored with a single domain."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.encoder.family == "swin":
+            require(self.size == self.encoder.size, "size",
+                    f"{self.encoder.size}, the only one {self.encoder.name} takes", self.size)  # fmt: skip
+        if self.router.kind == "auto" and len(self.domains) > 1:
+            require(not isinstance(self.head, DornConfig), "router.kind",
+                    "'labeled' or 'trained' with DORN's head, whose loss no mixture of depths has", "auto")  # fmt: skip
+
+    @property
+    def one_size(self) -> bool:
+        """Swin's position tables and windows allow one size only."""
+        return self.encoder.family == "swin"
+
+    @property
+    def encoder_name(self) -> str:
+        """timm's name of the encoder."""
+        return self.encoder.name
+
+
+@dataclass(frozen=True)
+class BaselineConfig(_PhotoConfig):
+    """A system the paper compares with, as its authors built it: no DPT decoder, no relative depth, no router."""
+
+    network: NetworkConfig
+    size: tuple[int, int] = field(default=(480, 640), kw_only=True)
+    """(height, width) the model is trained at; photos are resized near it."""
+    pad: bool = field(default=False, kw_only=True)
+    """Borders of photos are reflected outwards before the network, and cut off after. None of the baselines does it."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require(len(self.domains) == 1, "domains", "one: a baseline has one head", self.domains)
+
+    @property
+    def multiple(self) -> int:
+        """DORN's sides are 8 n + 1."""
+        return 1 if self.one_size else 32
+
+    @property
+    def one_size(self) -> bool:
+        """DORN has a layer of fixed size over the whole photo."""
+        return isinstance(self.network, DornNetwork)
+
+    @property
+    def encoder_name(self) -> str:
+        """timm's name of the encoder."""
+        return self.network.encoder
+
+
+AnyModelConfig = ModelConfig | BaselineConfig
+"""The config of any model in this package."""
+
+_TYPES: dict[str, type] = {"zoedepth": ModelConfig, "baseline": BaselineConfig}
+_NAMES = {kind: name for table in (_TYPES, HEAD_CONFIGS, NETWORK_CONFIGS) for name, kind in table.items()}
+"""Config class → the ``type`` it has in files, where several could stand."""
+_TYPE = "type"
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """A config dataclass as plain dicts, lists and values, ready for JSON."""
-    return dataclasses.asdict(config)
+    """A config dataclass as plain dicts, lists and values, ready for JSON; ``type`` says which of several it is."""
+    tag = {_TYPE: _NAMES[type(config)]} if type(config) in _NAMES else {}
+    return tag | {item.name: _plain(getattr(config, item.name)) for item in dataclasses.fields(config)}
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value):
+        return to_dict(value)
+    return tuple(map(_plain, value)) if isinstance(value, tuple) else value
 
 
 ConfigType = TypeVar("ConfigType")
 
 
 def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: str = "config") -> ConfigType:
-    """The inverse of :func:`to_dict`.
+    """The inverse of :func:`to_dict`. Where ``type`` is missing, it is the oldest: ZoeDepth, with attractors.
 
     Raises:
         InputError: a field is unknown, of the wrong type, or missing without having a default; the message names it.
     """
     return _build(config_type, values, where)
+
+
+def model_config_from_dict(values: Any, *, where: str = "config") -> AnyModelConfig:
+    """The config of any model, from :func:`to_dict`'s plain values.
+
+    Raises:
+        InputError: see :func:`from_dict`.
+    """
+    return _build(AnyModelConfig, values, where)
 
 
 def _build(kind: Any, value: Any, where: str) -> Any:
@@ -241,7 +327,8 @@ def _build(kind: Any, value: Any, where: str) -> Any:
     if origin in (Union, types.UnionType):
         if value is None and type(None) in arguments:
             return None
-        return _build(next(k for k in arguments if k is not type(None)), value, where)
+        kinds = [k for k in arguments if k is not type(None)]
+        return _build(kinds[0] if len(kinds) == 1 else _chosen(kinds, value, where), value, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):  # a bool is an int to Python
@@ -249,9 +336,20 @@ def _build(kind: Any, value: Any, where: str) -> Any:
     return value
 
 
+def _chosen(kinds: list[Any], value: Any, where: str) -> Any:
+    """Which of several dataclasses a JSON object is of."""
+    known = {_NAMES[kind]: kind for kind in kinds}
+    name = value.get(_TYPE, next(iter(known))) if isinstance(value, dict) else None
+    if not isinstance(name, str) or name not in known:
+        raise InputError(f"{where}.{_TYPE} must be one of {list(known)}, not {name!r}")
+    return known[name]
+
+
 def _build_dataclass(kind: Any, value: Any, where: str) -> Any:
     if not isinstance(value, dict):
         raise InputError(f"{where} must be an object with the fields of {kind.__name__}, not {value!r}")
+    if kind in _NAMES and value.get(_TYPE, _NAMES[kind]) == _NAMES[kind]:
+        value = {name: item for name, item in value.items() if name != _TYPE}
     known = {item.name: item for item in dataclasses.fields(kind)}
     if unknown := sorted(set(value) - set(known)):
         raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")

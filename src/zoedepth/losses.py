@@ -51,6 +51,158 @@ def silog(
     return 10 * torch.sqrt(variance + beta * mean**2 + 1e-8)
 
 
+def ordinal(
+    logits: Float[Tensor, "batch intervals rows columns"],
+    edges: Float[Tensor, "batch edges"],
+    target: Map,
+    mask: Mask,
+    *,
+    total: Total = alone,
+) -> Float[Tensor, ""]:
+    """DORN's loss: over all known pixels, the mean of the binary cross-entropies, summed over the intervals.
+
+    Logit k is that of the depth lying beyond interval k. (Fu et al. 2018, Eqs. 3 and 4, with one logit an interval in
+    place of a softmax over two, which is the same.)
+
+    Args:
+        logits: of the probabilities, at any resolution; the target is read at the pixels nearest to theirs.
+        edges: metres: where the intervals of each image begin and end.
+        target: metres.
+        mask: True where the target is known.
+        total: see :func:`silog`.
+    """
+    size = logits.shape[-2:]
+    depth, known = (
+        F.interpolate(target.float(), size, mode="nearest"),
+        F.interpolate(mask.float(), size, mode="nearest"),
+    )
+    beyond = (depth >= edges[:, 1:, None, None]).float()
+    entropies = F.binary_cross_entropy_with_logits(logits.float(), beyond, reduction="none").sum(dim=1, keepdim=True)
+    return total((entropies * known).sum()) / total(known.sum()).clamp(min=1)
+
+
+def bins_chamfer(
+    centers: Float[Tensor, "batch bins"], target: Map, mask: Mask, *, max_points: int = 2**14, total: Total = alone
+) -> Float[Tensor, ""]:
+    """AdaBins' loss of bin centers: the :func:`chamfer` distance to the true depths of the image.
+
+    The mean over the images, of all processes, of which any depth is known. (Bhat et al. 2021, Eq. 5; AdaBins
+    ``loss.py::BinsChamferLoss``.)
+
+    Args:
+        centers: metres: bin centers of the whole image, in any order.
+        target: metres.
+        mask: True where the target is known.
+        max_points: an image with more known pixels is represented by so many of them, evenly spread.
+        total: see :func:`silog`.
+    """
+    losses = []
+    counted = mask.flatten(1).any(dim=1)
+    for bins, truth, known, counts in zip(centers.float(), target.float(), mask, counted.tolist(), strict=True):
+        if not counts:
+            losses.append(0 * bins.sum())
+            continue
+        points = truth[known]
+        if len(points) > max_points:
+            places = torch.arange(max_points, device=points.device) * len(points) // max_points
+            points = points[places]
+        losses.append(chamfer(bins[None], points[None], torch.ones_like(points[None], dtype=torch.bool))[0])
+    return mean_counted(torch.stack(losses), counted, total=total)
+
+
+def window_bins_chamfer(
+    boxes: Float[Tensor, "batch windows 4"],
+    centers: tuple[Float[Tensor, "batch windows _"], ...],
+    target: Map,
+    mask: Mask,
+    *,
+    n_sizes: int = 5,
+    gamma: float = 0.3,
+    total: Total = alone,
+) -> Float[Tensor, ""]:
+    """LocalBins' loss of local histograms: the :func:`chamfer` distance of windows' bins to the true depths inside.
+
+    Windows count where more than half of their pixels are known. The mean over the windows of one size; over the sizes
+    the mean with weights 1 for the smallest, gamma for the next, gamma ** 2, ..., but none for a size without windows
+    that count; over the levels the sum with weights 1 for the finest, gamma for the one before, ... (Bhat et al. 2022;
+    LocalBins ``loss.py::MultiScaleBinsLossV5``.)
+
+    Args:
+        boxes: left, top, right, bottom, as fractions of the image; smallest windows first, as many of each size.
+        centers: metres: bin centers of each window, from the coarsest level to the finest.
+        target: metres.
+        mask: True where the target is known.
+        n_sizes: number of sizes of windows.
+        gamma: what the weights decrease by.
+        total: see :func:`silog`.
+    """
+    sums, counts = [], []
+    for windows, *bins in zip(*(x.chunk(n_sizes, dim=1) for x in (boxes, *centers)), strict=True):
+        depth, known = (x.flatten(0, 1) for x in _inside(windows, target.float(), mask))
+        counted = known.float().mean(dim=1) > 0.5
+        sums.append(torch.stack([(chamfer(x.flatten(0, 1), depth, known) * counted).sum() for x in bins]))
+        counts.append(counted.sum().float())
+    n = total(torch.stack(counts))
+    means = total(torch.stack(sums)) / n.clamp(min=1)[:, None]
+    weights = gamma ** torch.arange(n_sizes, device=n.device) * (n > 0)
+    levels = (weights[:, None] * means).sum(dim=0) / weights.sum().clamp(min=gamma**n_sizes)
+    return (gamma ** torch.arange(len(centers) - 1, -1, -1, device=n.device) * levels).sum()
+
+
+def chamfer(
+    centers: Float[Tensor, "rows bins"], points: Float[Tensor, "rows points"], known: Bool[Tensor, "rows points"]
+) -> Float[Tensor, " rows"]:
+    """Mean squared distance of the centers to their nearest point, plus that of the points to their nearest center.
+
+    Those of a line can be sorted, so that n log n does for what takes n ** 2 in space.
+
+    Args:
+        centers: of each row; the loss has a gradient in them.
+        points: of each row.
+        known: which of them there are. A row may have none: its loss is finite then, and means nothing.
+    """
+    with torch.autocast(centers.device.type, enabled=False):
+        centers = centers.float().sort(dim=1).values
+        n = known.sum(dim=1)
+        # What is unknown becomes one more of the largest: no distance to the nearest changes.
+        points = torch.where(known, points.float(), -torch.inf)
+        largest = torch.where(n > 0, points.amax(dim=1), 0)[:, None]
+        points = torch.where(known, points, largest).sort(dim=1).values
+        there = torch.arange(points.shape[1], device=points.device) < n[:, None]
+        to_points = (centers - _nearest(points, centers)).square().mean(dim=1)
+        to_centers = ((points - _nearest(centers, points)).square() * there).sum(dim=1) / n.clamp(min=1)
+        return to_points + to_centers
+
+
+def _nearest(
+    values: Float[Tensor, "rows values"], queries: Float[Tensor, "rows queries"]
+) -> Float[Tensor, "rows queries"]:
+    """The nearest of the values, which are sorted, to each query of the same row."""
+    after = torch.searchsorted(values.detach(), queries.detach()).clamp(max=values.shape[1] - 1)
+    above, below = values.gather(1, after), values.gather(1, (after - 1).clamp(min=0))
+    return torch.where((queries - below).abs() <= (above - queries).abs(), below, above)
+
+
+def _inside(
+    boxes: Float[Tensor, "batch windows 4"], target: Map, mask: Mask
+) -> tuple[Float[Tensor, "batch windows points"], Bool[Tensor, "batch windows points"]]:
+    """Depths, and which are known, at the pixels inside of boxes that are all of one size."""
+    height, width = target.shape[-2:]
+    left, top, right, bottom = boxes.unbind(dim=2)
+    sides = torch.stack([(bottom - top)[0, 0] * height, (right - left)[0, 0] * width]).tolist()
+    n_rows, n_columns = (max(round(side), 1) for side in sides)
+
+    def pixels(start: Tensor, end: Tensor, n: int, side: int) -> Tensor:
+        middles = (torch.arange(n, device=boxes.device) + 0.5) / n
+        place = start[..., None] + (end - start)[..., None] * middles
+        return (place * side).long().clamp(0, side - 1)
+
+    index = pixels(top, bottom, n_rows, height)[..., :, None] * width
+    index = (index + pixels(left, right, n_columns, width)[..., None, :]).flatten(1)
+    depth, known = (x.flatten(1).gather(1, index).unflatten(1, (boxes.shape[1], -1)) for x in (target, mask))
+    return depth, known
+
+
 def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:
     """Cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
     return F.cross_entropy(logits.float(), domain)

@@ -15,6 +15,7 @@ from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
 from zoedepth import colors
+from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.images import (
     PICTURE_SUFFIXES,
@@ -25,7 +26,7 @@ from zoedepth.images import (
     write_depth,
     write_image,
 )
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel
 from zoedepth.sizes import network_size
 
 MAX_NETWORK_AREA = 16
@@ -38,8 +39,9 @@ class DepthMap:
 
     depth: DepthArray
     """Metres along the optical axis (z, not the length of the ray); finite and positive everywhere."""
-    std: DepthArray
-    """Metres: standard deviation of the bin distribution, and of the two mirrored predictions where they differ."""
+    std: DepthArray | None
+    """Metres: standard deviation of the bin distribution, and of the two mirrored predictions where they differ. None
+    where the model has no distribution: DORN, NeWCRFs, BTS and naive heads."""
     domain: str
     """Scene type whose head made this depth, e.g. "indoor"."""
     domain_probability: dict[str, float]
@@ -55,12 +57,14 @@ class DepthMap:
         return self.depth.shape[0], self.depth.shape[1]
 
     @property
-    def confidence(self) -> DepthArray:
+    def confidence(self) -> DepthArray | None:
         """1 / (1 + std / depth), in (0, 1]: 1 is certain, 0.5 an uncertainty as large as the depth itself.
+
+        None where the model has no distribution over depth.
 
         It ranks pixels and photos; it is no probability, for nothing ties the spread of the bins to the true error.
         """
-        return self.depth / (self.depth + self.std)
+        return None if self.std is None else self.depth / (self.depth + self.std)
 
     def preview(self, *, vmin: float | None = None, vmax: float | None = None, colormap: str = "magma_r") -> ImageArray:
         """The photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
@@ -84,7 +88,9 @@ class DepthMap:
             write_image(path, self.preview())
             return
         scale = png_scale(self.depth) if scale is None else scale
-        write_depth(path, self.depth, scale=scale, beside={"std": self.std, "confidence": self.confidence})
+        beside = {"std": self.std, "confidence": self.confidence}
+        beside = {name: value for name, value in beside.items() if value is not None}
+        write_depth(path, self.depth, scale=scale, beside=beside)
 
 
 class Predictor:
@@ -111,7 +117,7 @@ class Predictor:
 
     def __init__(
         self,
-        model: ZoeDepth,
+        model: DepthModel,
         *,
         flip_average: bool = True,
         pad: bool | None = None,
@@ -130,7 +136,7 @@ class Predictor:
         self.pad = model.config.pad if pad is None else pad
         self.upsampling = upsampling
         self.keep_aspect_ratio = model.config.keep_aspect_ratio and resize != "squeeze"
-        if resize == "keep-aspect" and model.config.encoder.family != "swin":
+        if resize == "keep-aspect" and not model.config.one_size:
             self.keep_aspect_ratio = True
         self.precision = precision
 
@@ -304,13 +310,15 @@ class Predictor:
         with self._autocast():
             output = self.model(pixels, domain=domain, return_std=True)
         logits = None if output.domain_logits is None else output.domain_logits.float()
-        return _Estimate(output.depth.float(), output.std.float().square(), output.domain, logits)
+        variance = None if output.std is None else output.std.float().square()
+        return _Estimate(output.depth.float(), variance, output.domain, logits)
 
     def _estimate_mirrored(
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
     ) -> "_Estimate":
         """The mean over each photo and its mirror image, both through one head: that of their mean logits."""
-        if self.model.config.router.vote == "batch":
+        config = self.model.config
+        if isinstance(config, ModelConfig) and config.router.vote == "batch":
             # As released: the photos vote, and then, by themselves, their mirror images.
             straight, mirrored = self._estimate(pixels, domain), self._estimate(pixels.flip(-1), domain)
             return _mean_with_mirrored(straight, mirrored, domain=straight.domain)
@@ -323,8 +331,11 @@ class Predictor:
             again = (taken != domain.repeat(2)).nonzero().flatten()
             if len(again):
                 second = self._estimate(both[again], domain.repeat(2)[again])
-                depth, variance = estimate.depth.clone(), estimate.variance.clone()
-                depth[again], variance[again] = second.depth, second.variance
+                depth, variance = estimate.depth.clone(), estimate.variance
+                depth[again] = second.depth
+                if variance is not None and second.variance is not None:
+                    variance = variance.clone()
+                    variance[again] = second.variance
                 estimate = estimate._replace(depth=depth, variance=variance)
         return _mean_with_mirrored(estimate.of(slice(n)), estimate.of(slice(n, None)), domain=domain)
 
@@ -340,7 +351,9 @@ class Predictor:
         shape = (photo.shape[0], photo.shape[1])
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
         depth = _to_array(self._from_network(estimate.depth, shape, mode=self.upsampling)).clip(domain.min_depth, None)
-        std = _to_array(self._from_network(estimate.variance.sqrt(), shape, mode="bilinear"))
+        std = None
+        if estimate.variance is not None:
+            std = _to_array(self._from_network(estimate.variance.sqrt(), shape, mode="bilinear"))
         return DepthMap(depth, std, domain.name, probability, photo, size)
 
 
@@ -348,21 +361,24 @@ class _Estimate(NamedTuple):
     """What the model says of a batch, at network resolution."""
 
     depth: Float[Tensor, "batch 1 height width"]
-    variance: Float[Tensor, "batch 1 height width"]
+    variance: Float[Tensor, "batch 1 height width"] | None
     domain: Int[Tensor, " batch"]
     logits: Float[Tensor, "batch domains"] | None
 
     def of(self, rows: slice) -> "_Estimate":
         """Some photos' part."""
         logits = None if self.logits is None else self.logits[rows]
-        return _Estimate(self.depth[rows], self.variance[rows], self.domain[rows], logits)
+        variance = None if self.variance is None else self.variance[rows]
+        return _Estimate(self.depth[rows], variance, self.domain[rows], logits)
 
 
 def _mean_with_mirrored(straight: _Estimate, mirrored: _Estimate, *, domain: Int[Tensor, " batch"]) -> _Estimate:
     """The mean of what the model says of photos and of their mirror images."""
     one, other = straight.depth, mirrored.depth.flip(-1)
-    spread = ((one - other) / 2) ** 2  # the variance of the two means adds to the mean of the two variances
-    variance = (straight.variance + mirrored.variance.flip(-1)) / 2 + spread
+    variance = None
+    if straight.variance is not None and mirrored.variance is not None:
+        spread = ((one - other) / 2) ** 2  # the variance of the two means adds to the mean of the two variances
+        variance = (straight.variance + mirrored.variance.flip(-1)) / 2 + spread
     logits = straight.logits
     if logits is not None and mirrored.logits is not None:
         logits = (logits + mirrored.logits) / 2

@@ -6,13 +6,24 @@ from dataclasses import replace
 from zoedepth.config import (
     INDOOR,
     OUTDOOR,
+    AdaBinsNetwork,
+    AnyModelConfig,
     AttractorConfig,
+    BaselineConfig,
+    BtsNetwork,
     DecoderConfig,
+    Domain,
+    DornNetwork,
     EncoderConfig,
+    LocalBinsNetwork,
     ModelConfig,
+    NetworkConfig,
+    NewCrfsNetwork,
+    PixelBinsNetwork,
     RouterConfig,
 )
 from zoedepth.errors import InputError
+from zoedepth.head_config import HEAD_CONFIGS
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -74,9 +85,26 @@ _RELEASED_NK = replace(
 
 
 def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
-    """A config with another encoder of :data:`ENCODERS`, at the only size a Swin takes."""
+    """A config with another encoder of :data:`ENCODERS`, at the only size a Swin takes.
+
+    Raises:
+        InputError: there is no such encoder.
+    """
+    if name not in ENCODERS:
+        raise InputError(f"there is no encoder {name!r}; there are {sorted(ENCODERS)}")
     encoder = ENCODERS[name]
     return replace(config, encoder=encoder, size=encoder.size if encoder.family == "swin" else config.size)
+
+
+def with_head(config: ModelConfig, name: str) -> ModelConfig:
+    """A config with another metric head, of the values the paper compares it with.
+
+    Raises:
+        InputError: there is no such head, or the config has it already, with values of its own.
+    """
+    if name not in HEAD_CONFIGS:
+        raise InputError(f"there is no head {name!r}; there are {sorted(HEAD_CONFIGS)}")
+    return config if isinstance(config.head, HEAD_CONFIGS[name]) else replace(config, head=HEAD_CONFIGS[name]())
 
 
 ZOED_LITE = ModelConfig(
@@ -131,39 +159,79 @@ PRESETS: dict[str, ModelConfig] = {
 """Name → architecture. ``pretrained.py`` knows which of them have weights, and where."""
 
 
+# --- the systems the paper compares with ------------------------------------------------------------------------------
+
+
+def _baseline(
+    network: NetworkConfig, domain: Domain, *, nyu: tuple[int, int] = (480, 640), kitti: tuple[int, int] = (352, 1216)
+) -> BaselineConfig:
+    return BaselineConfig(network, domains=(domain,), size=nyu if domain is INDOOR else kitti)
+
+
+_ANY = replace(OUTDOOR, name="any")
+_NATIVE: dict[str, NetworkConfig] = {
+    "bts": BtsNetwork(),
+    "adabins": AdaBinsNetwork(),
+    "localbins": LocalBinsNetwork(),
+    "pixelbins": PixelBinsNetwork(),
+    "newcrfs": NewCrfsNetwork(),
+}
+
+BASELINES: dict[str, BaselineConfig] = {
+    **{f"{name}-n": _baseline(network, INDOOR) for name, network in _NATIVE.items()},
+    **{f"{name}-k": _baseline(network, OUTDOOR) for name, network in _NATIVE.items()},
+    # Trained on both, as in the paper's Table 2.
+    **{f"{name}-nk": _baseline(network, _ANY, kitti=(480, 640)) for name, network in _NATIVE.items()},
+    # DORN's layer over the whole photo has one size, and its intervals fit one range.
+    "dorn-n": _baseline(DornNetwork(), INDOOR, nyu=(257, 353)),
+    "dorn-k": _baseline(DornNetwork(n_intervals=71, rates=(6, 12, 18), pooling=16), OUTDOOR, kitti=(385, 513)),
+    "dorn-nk": _baseline(DornNetwork(n_intervals=80), _ANY, kitti=(257, 353)),
+}
+"""Name → architecture of the baselines, as published, for NYU (n), KITTI (k) and both (nk)."""
+
+
 # --- the released code's behaviour ------------------------------------------------------------------------------------
 
 
-def _batch_vote(config: ModelConfig) -> ModelConfig:
-    if len(config.domains) < 2 or config.router.kind != "trained":
+def _batch_vote(config: AnyModelConfig) -> AnyModelConfig:
+    if not isinstance(config, ModelConfig) or len(config.domains) < 2 or config.router.kind != "trained":
         raise InputError("compat 'batch-vote' is for models whose trained router chooses between several heads")
     return replace(config, router=replace(config.router, vote="batch"))
 
 
-def _ten_metres(config: ModelConfig) -> ModelConfig:
-    if len(config.domains) != 1 or config.head.centers != "normed":
+def _ten_metres(config: AnyModelConfig) -> AnyModelConfig:
+    head = config.head if isinstance(config, ModelConfig) else None
+    if len(config.domains) != 1 or not isinstance(head, AttractorConfig) or head.centers != "normed":
         raise InputError("compat '10m' is for ZoeD-K: one head with normed centers, the only ones a range changes")
     domain = config.domains[0]
     return replace(config, domains=(replace(domain, min_depth=INDOOR.min_depth, max_depth=INDOOR.max_depth),))
 
 
-def _squeeze(config: ModelConfig) -> ModelConfig:
+def _eighty_metres(config: AnyModelConfig) -> AnyModelConfig:
+    if not isinstance(config, BaselineConfig):
+        raise InputError("compat '80m' is for checkpoints of the baselines, which do not say their range")
+    return replace(config, domains=(OUTDOOR,))
+
+
+def _squeeze(config: AnyModelConfig) -> AnyModelConfig:
     return replace(config, resize="squeeze")
 
 
-COMPAT: dict[str, Callable[[ModelConfig], ModelConfig]] = {
+COMPAT: dict[str, Callable[[AnyModelConfig], AnyModelConfig]] = {
     "batch-vote": _batch_vote,
     "10m": _ten_metres,
+    "80m": _eighty_metres,
     "squeeze": _squeeze,
 }
 """What the released code does and we do not, by name; for comparing with its numbers.
 
-batch-vote: one head for the whole batch. 10m: ZoeD-K as loaded without naming a data set, 8 times too near. squeeze:
-photos are resized to exactly the trained size, whatever their proportions (its "eval" mode).
+batch-vote: one head for the whole batch. 10m: ZoeD-K as loaded without naming a data set, 8 times too near. 80m: a
+baseline's checkpoint of KITTI; the files do not say, and are taken for NYU's. squeeze: photos are resized to exactly
+the trained size, whatever their proportions (its "eval" mode).
 """
 
 
-def with_compat(config: ModelConfig, names: Iterable[str]) -> ModelConfig:
+def with_compat(config: AnyModelConfig, names: Iterable[str]) -> AnyModelConfig:
     """A config with the named behaviours of the released code.
 
     Raises:

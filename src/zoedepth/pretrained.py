@@ -11,12 +11,12 @@ import torch
 from safetensors.torch import save
 from torch import Tensor
 
-from zoedepth.config import to_dict
+from zoedepth.config import ModelConfig, to_dict
 from zoedepth.convert.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from zoedepth.convert.keys import shown
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel, build_network
 from zoedepth.presets import PRESETS, with_compat
 from zoedepth.releases import RELEASES
 
@@ -29,7 +29,7 @@ def available_models() -> list[str]:
     return sorted(RELEASES, key=lambda name: (RELEASES[name].url is not None, name))
 
 
-def load_model(name_or_path: str | Path, *, compat: Iterable[str] = ()) -> ZoeDepth:
+def load_model(name_or_path: str | Path, *, compat: Iterable[str] = ()) -> DepthModel:
     """A model with its weights, in evaluation mode, float32, on the CPU.
 
     Args:
@@ -80,7 +80,7 @@ def find(name_or_path: str | Path) -> Path:
     )
 
 
-def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str] = ()) -> ZoeDepth:
+def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str] = ()) -> DepthModel:
     """The model of a checkpoint, in evaluation mode, float32. Its weights are the checkpoint's own, not copies.
 
     Args:
@@ -92,16 +92,19 @@ def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
     """
     config, weights, _, name_in_file = checkpoint
-    encoder = config.encoder
-    # A config may ask for any number of blocks; each has weights of its own.
-    if sum(encoder.depth or ()) + len(config.domains) > len(weights):
-        raise InputError(f"the config in {source} makes no model of {len(weights)} weights")
-    if ":" in encoder.name or min(encoder.taps, default=0) < 0:  # timm fetches names with a colon from anywhere
-        raise InputError(f"the config in {source} makes no model: encoder {encoder.name[:80]!r}, taps {encoder.taps}")
+    if ":" in config.encoder_name:  # timm fetches names with a colon from anywhere
+        raise InputError(f"the config in {source} makes no model: encoder {config.encoder_name[:80]!r}")
+    if isinstance(config, ModelConfig):
+        encoder = config.encoder
+        # A config may ask for any number of blocks; each has weights of its own.
+        if sum(encoder.depth or ()) + len(config.domains) > len(weights):
+            raise InputError(f"the config in {source} makes no model of {len(weights)} weights")
+        if min(encoder.taps, default=0) < 0:
+            raise InputError(f"the config in {source} makes no model: taps {encoder.taps}")
     config = with_compat(config, compat)
     try:
         with torch.device("meta"):  # shapes without memory
-            model = ZoeDepth(config)
+            model = build_network(config)
     except (
         ValueError,
         RuntimeError,
@@ -146,7 +149,7 @@ def _printable(name: str) -> str:
     return name[:120].encode("unicode_escape").decode()
 
 
-def _with_buffers(model: ZoeDepth) -> ZoeDepth:
+def _with_buffers(model: DepthModel) -> DepthModel:
     """Fill the buffers that no checkpoint holds: the model was built without memory."""
     lost = {name: buffer for name, buffer in model.named_buffers() if buffer.is_meta}
     modules = {name.rpartition(".")[0] for name in lost}
@@ -159,13 +162,13 @@ def _with_buffers(model: ZoeDepth) -> ZoeDepth:
     return model
 
 
-def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.float32) -> None:
+def save_model(model: DepthModel, path: str | Path, *, dtype: torch.dtype = torch.float32) -> None:
     """Write weights and config into one ``.safetensors`` file, whole or not at all.
 
     ``zoedepth convert`` makes a folder of it, or the layout of the original or of transformers.
 
     Args:
-        model: any ZoeDepth.
+        model: any ZoeDepth or baseline.
         path: file to write.
         dtype: of the floating-point weights in the file; they are loaded as float32.
 
@@ -185,7 +188,7 @@ def save_model(model: ZoeDepth, path: str | Path, *, dtype: torch.dtype = torch.
 
 
 def push_to_hub(
-    model: ZoeDepth,
+    model: DepthModel,
     repo_id: str,
     *,
     to: Literal["zoedepth", "huggingface"] = "zoedepth",
@@ -195,7 +198,7 @@ def push_to_hub(
     """Publish a model at the Hugging Face Hub: config, weights and a model card, in one commit.
 
     Args:
-        model: any ZoeDepth.
+        model: any ZoeDepth or baseline.
         repo_id: "owner/name"; made if it is not there.
         to: layout; "huggingface" is for people who load it with transformers.
         private: for a repository that is made.
@@ -215,7 +218,7 @@ def push_to_hub(
         return push_folder(path, repo_id, private=private)
 
 
-def checkpoint_of(model: ZoeDepth) -> Checkpoint:
+def checkpoint_of(model: DepthModel) -> Checkpoint:
     """A model as a checkpoint, ready for ``write_checkpoint``."""
     weights = {name: value.detach().cpu() for name, value in model.state_dict().items()}
     return Checkpoint(model.config, weights, "zoedepth", str)

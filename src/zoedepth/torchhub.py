@@ -10,10 +10,10 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import AnyModelConfig, AttractorConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel, build_network
 from zoedepth.predict import Predictor, resize_pixels
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
 
@@ -41,7 +41,7 @@ class OriginalInterface(nn.Module):
         model: any ZoeDepth with metric heads; ``.model`` afterwards.
     """
 
-    def __init__(self, model: ZoeDepth) -> None:
+    def __init__(self, model: DepthModel) -> None:
         super().__init__()
         self.model = model
         self.train(model.training)
@@ -76,7 +76,9 @@ class OriginalInterface(nn.Module):
         size = Predictor(self.model, pad=False).network_size((x.shape[2], x.shape[3]))
         bins = return_final_centers or return_probs
         output = self.model(resize_pixels(x, size, antialias=self.model.config.antialias), return_bins=bins)
-        result = {"metric_depth": output.depth, "rel_depth": output.relative}
+        result = {"metric_depth": output.depth}
+        if output.relative is not None:
+            result["rel_depth"] = output.relative
         if output.domain_logits is not None:
             result["domain_logits"] = output.domain_logits
         if return_final_centers and output.bin_centers is not None:
@@ -152,7 +154,7 @@ def build(
         compat = (*compat, "squeeze")
     config = with_encoder(PRESETS[preset], MIDAS_MODELS[midas_model_type])
     if not pretrained:
-        return OriginalInterface(ZoeDepth(with_compat(config, compat)).eval())
+        return OriginalInterface(build_network(with_compat(config, compat)).eval())
     if ENCODERS[MIDAS_MODELS[midas_model_type]] != PRESETS[preset].encoder:
         raise InputError(f"pretrained weights are of DPT_BEiT_L_384 only, not of {midas_model_type}")
     model = _load(preset if pretrained is True else pretrained, compat)
@@ -163,7 +165,7 @@ def build(
     return OriginalInterface(model)
 
 
-def _load(source: str, compat: tuple[str, ...]) -> ZoeDepth:
+def _load(source: str, compat: tuple[str, ...]) -> DepthModel:
     from zoedepth.download import download
     from zoedepth.pretrained import load_model
     from zoedepth.releases import download_folder
@@ -174,6 +176,7 @@ def _load(source: str, compat: tuple[str, ...]) -> ZoeDepth:
     return load_model(source, compat=compat)
 
 
-def _kind(config: ModelConfig) -> tuple[int, str]:
+def _kind(config: AnyModelConfig) -> tuple[int, str]:
     """What tells N, K and NK apart."""
-    return len(config.domains), config.head.centers
+    head = config.head if isinstance(config, ModelConfig) else None
+    return len(config.domains), head.centers if isinstance(head, AttractorConfig) else "other heads"

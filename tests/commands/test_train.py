@@ -1,14 +1,17 @@
 """``zoedepth train``: recipes by name, every field from the command line, and the folder of the run."""
 
 import json
+import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.cli import main
-from zoedepth.config import ModelConfig
+from zoedepth.config import BaselineConfig, ModelConfig, NaiveConfig, PixelBinsConfig
+from zoedepth.presets import ENCODERS
 from zoedepth.pretrained import load_model
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import SourceConfig, TrainConfig
@@ -62,6 +65,76 @@ def test_fields_of_the_recipe_are_overridden_and_the_last_checkpoint_is_printed(
     assert config["route_by_label"] is False
     assert config["batch_size"] == 2
     assert load_model(last).config.head.alpha == 1.5
+
+
+@pytest.mark.parametrize(
+    ("options", "head"),
+    [
+        (["--head", "pixelbins", "--config.model.head.n-bins", "5"], PixelBinsConfig(n_bins=5)),
+        (["--head=naive"], NaiveConfig()),
+        (["--config.model.head.kind", "exponential", "--head", "attractor"], "exponential"),
+    ],
+)
+def test_head_is_chosen_and_its_own_fields_are_overridden(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, options: list[str], head: object
+) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1)
+    arguments = ["train", "tiny", "--data", str(indoor), "--out", str(tmp_path / "out"), "--config.steps", "1"]
+
+    assert main([*arguments, *options]) == 0
+
+    found = load_model(tmp_path / "out" / "step_000001").config.head
+    if isinstance(head, str):  # the recipe's own head, but for that field
+        assert found == replace(RECIPES["tiny"]().model.head, kind=head)
+    else:
+        assert found == head
+
+
+def test_encoder_is_chosen(tiny_recipe: Callable[[str], None], tmp_path: Path) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1)
+    arguments = ["train", "tiny", "--data", str(indoor), "--out", str(tmp_path / "out"), "--config.steps", "1"]
+    assert main([*arguments, "--encoder", "tf_efficientnet_lite1", "--init", "imagenet"]) == 0
+    config = load_model(tmp_path / "out" / "step_000001").config
+    assert config.encoder == ENCODERS["tf_efficientnet_lite1"]
+
+
+@pytest.mark.parametrize(
+    ("recipe", "options", "message"),
+    [
+        ("tiny", ["--head", "bins"], r"there is no head 'bins'; there are \['adabins'"),
+        ("tiny", ["--encoder", "resnet18"], "there is no encoder 'resnet18'"),
+        ("bts_n", ["--head", "naive"], "a baseline has the head it has"),
+    ],
+)
+def test_parts_there_are_not_are_errors(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], recipe: str,
+    options: list[str], message: str,
+) -> None:  # fmt: skip
+    tiny_recipe("metric")
+    assert main(["train", recipe, "--data", "nyu=x", "--out", str(tmp_path / "out"), *options]) == 2
+    assert re.search(message, capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
+def test_baseline_is_trained_gone_on_with_and_evaluated_by_the_same_commands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rooms = write_pairs(tmp_path / "rooms", n=2)
+    arguments = ["train", "comparison_pixelbins", "--data", f"nyu={rooms}", "--out", str(tmp_path / "out")]
+    small = ["--config.model.size", "64", "96", "--config.batch-size", "2", "--config.n-workers", "0"]
+    assert main([*arguments, *small, "--init", "imagenet", "--config.steps", "2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert main([*arguments, *small, "--config.steps", "2"]) == 0, "there is nothing left to do"
+    model = load_model(last)
+    assert isinstance(model.config, BaselineConfig)
+    assert model.config.size == (64, 96)
+    capsys.readouterr()
+    assert main(["evaluate", "--model", last, "--data", f"rooms={rooms}", "--json", "--crop", "none"]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    assert scores["images"] == 2
+    assert scores["rel"] > 0
 
 
 def test_first_stage_result_starts_the_second(

@@ -43,6 +43,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 EVERY: dict[str, Augmentation] = {
     "fit_crop": augment.fit_crop((32, 48), max_zoom=2.0),
+    "window": augment.window((32, 48)),
     "squeeze": augment.squeeze((32, 48)),
     "kitti_crop": augment.kitti_crop(),
     "flip": augment.flip(),
@@ -64,7 +65,7 @@ def test_result_is_a_function_of_sample_and_generator_and_the_sample_is_left_alo
         assert torch.equal(getattr(sample, field), getattr(before, field))
 
 
-@pytest.mark.parametrize("name", ["fit_crop", "flip", "rotate", "jitter_colors"])
+@pytest.mark.parametrize("name", ["fit_crop", "window", "flip", "rotate", "jitter_colors"])
 def test_other_draws_give_other_results(name: str) -> None:
     results = [EVERY[name](noise((60, 90)), rng(seed)).image for seed in range(8)]
     assert any(not torch.equal(results[0], result) for result in results[1:])
@@ -243,6 +244,30 @@ def test_window_lies_anywhere_in_the_photo() -> None:
     firsts = [augment.fit_crop((32, 32))(sample, rng(seed)).target.min().item() for seed in range(60)]
     assert min(firsts) < 20
     assert max(firsts) > 256 - 64 - 20
+
+
+def test_window_of_pixels_is_a_piece_of_the_photo_as_it_is() -> None:
+    sample = noise((60, 90))
+    places = set()
+    for seed in range(40):
+        cut = augment.window((32, 48))(sample, rng(seed))
+        found = [
+            (top, left)
+            for top in range(60 - 32 + 1)
+            for left in range(90 - 48 + 1)
+            if torch.equal(sample.image[:, top : top + 32, left : left + 48], cut.image)
+        ]
+        assert len(found) == 1
+        top, left = found[0]
+        assert torch.equal(sample.target[:, top : top + 32, left : left + 48], cut.target)
+        places.add((top, left))
+    assert len(places) > 30
+
+
+def test_window_larger_than_the_photo_is_its_largest_part_of_that_shape() -> None:
+    cut = augment.window((64, 96))(marked((40, 120), 10, 50), rng())
+    assert cut.image.shape == (3, 64, 96)
+    assert set(cut.target.unique().tolist()) <= {GROUND, MARK}
 
 
 def test_share_of_zoomed_samples_is_the_probability() -> None:

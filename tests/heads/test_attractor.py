@@ -1,5 +1,6 @@
 import math
 from dataclasses import replace
+from typing import Any, ClassVar
 
 import pytest
 import torch
@@ -29,6 +30,28 @@ OPTIONS = {
 
 
 class TestAttractorHead(HeadTester):
+    TINY = TINY
+    BOUNDED = False
+    CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
+        "n_bins": (9, {}),
+        "n_attractors": ((4, 3, 2, 2), {}),
+        "kind": ("exponential", {}),
+        "reduce": ("mean", {}),
+        "alpha": (100.0, {}),
+        "gamma": (3.0, {}),
+        "centers": ("normed", {}),
+        "attractor_ratio": (False, {"centers": "normed"}),
+        "relative_input": (False, {}),
+        "probability": ("softmax", {}),
+        "bottleneck_factor": (4, {}),
+        "min_temperature": (1.0, {}),
+        "max_temperature": (50.0, {}),
+        "embedding_width": (24, {}),
+        "projector_width": (24, {}),
+        "seed_width": (24, {}),
+        "initial_centers": ("geometric", {}),
+    }
+
     @pytest.fixture(params=list(OPTIONS))
     def config(self, request: pytest.FixtureRequest) -> AttractorConfig:
         return OPTIONS[request.param]

@@ -51,7 +51,7 @@ def test_outputs_have_the_size_of_the_input(tiny_model: ZoeDepth, size: tuple[in
     assert output.bin_centers.shape == output.probability.shape == (2, 8, *size)
     assert output.domain.shape == (2,)
     assert output.domain_logits.shape == (2, 2)
-    assert all(x.isfinite().all() for x in output)
+    assert all(x.isfinite().all() for x in output if isinstance(x, torch.Tensor))
     assert (output.relative >= 0).all()
 
 
@@ -199,7 +199,7 @@ def test_batch_that_routes_differently_equals_its_images_alone(tiny_config: Mode
         for i in range(5):
             alone = model(pixels[i : i + 1], return_std=True, return_bins=True)
             assert alone.domain.item() == together.domain[i].item()
-            for one, all_of_them in zip(alone, together, strict=True):
+            for one, all_of_them in zip(alone[:-1], together[:-1], strict=True):  # maps and numbers
                 assert torch.allclose(one[0], all_of_them[i], atol=1e-5)
 
 

@@ -125,6 +125,12 @@ def test_pictures_of_predictions_are_drawn(
     assert height > 2 * 100
 
 
+def test_pareto_weights_in_bfloat16(make_config: MakeConfig, data: Data, stills: Path, tmp_path: Path) -> None:
+    """Fabric guards mixed precision against backward passes it does not know of."""
+    config = make_config("relative", steps=2, batch_size=6, task_weights="pareto", precision="bf16-mixed")
+    assert train_relative(config, data={**data, "relative": stills}, out=tmp_path).name == "step_000002"
+
+
 def test_pareto_weights_outlive_an_interruption(
     make_config: MakeConfig, data: Data, stills: Path, tmp_path: Path
 ) -> None:

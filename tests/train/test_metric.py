@@ -17,6 +17,7 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample
 from zoedepth.errors import InputError, TrainingError
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
+from zoedepth.presets import PRESETS
 from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import metric_losses, train_metric
@@ -107,6 +108,10 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
         assert error < 0.4  # all 0.7 m, as at the start, is 0.7 to 0.98
 
 
+def weighing(domain_weight: float) -> TrainConfig:
+    return TrainConfig("metric", PRESETS["zoed-lite"], (), steps=1, domain_weight=domain_weight)
+
+
 def test_loss_terms_are_those_of_the_batch() -> None:
     depth = torch.full((2, 1, 4, 4), 2.0)
     target = torch.full((2, 1, 4, 4), 1.0)
@@ -116,13 +121,13 @@ def test_loss_terms_are_those_of_the_batch() -> None:
         torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), torch.tensor([0, 0]), ["a", "b"], "depth"
     )
 
-    terms = metric_losses(output, batch, domain_weight=3.0)
+    terms = metric_losses(output, batch, weighing(3.0))
 
     # All pixels are off by ln 2, so the variance is 0: 10 sqrt(0.15) ln 2. Two equal scores: 3 ln 2.
     assert terms["silog"].item() == pytest.approx(10 * 0.15**0.5 * 0.693147, rel=1e-4)
     assert terms["domain"].item() == pytest.approx(3 * 0.693147, rel=1e-5)
-    assert set(metric_losses(output, batch, domain_weight=0.0)) == {"silog"}
-    assert set(metric_losses(output._replace(domain_logits=None), batch, domain_weight=3.0)) == {"silog"}
+    assert set(metric_losses(output, batch, weighing(0.0))) == {"silog"}
+    assert set(metric_losses(output._replace(domain_logits=None), batch, weighing(3.0))) == {"silog"}
 
 
 @pytest.mark.parametrize("kind", ["labeled", "auto"])

@@ -134,3 +134,45 @@ def test_weights_decay_as_configured(tiny_model: ZoeDepth) -> None:
     optimizer = build_optimizer(tiny_model, OptimConfig(weight_decay=0.125, momentum=(0.5, 0.75)))
     assert {group["weight_decay"] for group in optimizer.param_groups} == {0.125}
     assert {group["betas"] for group in optimizer.param_groups} == {(0.75, 0.999)}
+
+
+# --- other systems' -------------------------------------------------------------------------------------------------
+
+
+def test_polynomial_rate_falls_as_in_bts() -> None:
+    """(first - last) (1 - step / steps) ** 0.9 + last, with last a tenth of the first."""
+    config = OptimConfig(learning_rate=1e-4, schedule="polynomial", final_division=10, momentum=(0.9, 0.9))
+    parameter = nn.Parameter(torch.zeros(1))
+    optimizer = torch.optim.AdamW([{"params": [parameter], "factor": 1.0}])
+    for step in range(50):
+        set_rates(optimizer, step, 50, config)
+        assert optimizer.param_groups[0]["lr"] == pytest.approx((1e-4 - 1e-5) * (1 - step / 50) ** 0.9 + 1e-5)
+        assert optimizer.param_groups[0]["betas"][0] == 0.9
+
+
+def test_gradient_descent_has_its_momentum(tiny_config: ModelConfig) -> None:
+    config = OptimConfig(optimizer="sgd", momentum=(0.8, 0.9), warmup=0.5, weight_decay=0.25)
+    optimizer = build_optimizer(ZoeDepth(tiny_config), config)
+    assert isinstance(optimizer, torch.optim.SGD)
+    set_rates(optimizer, 9, 20, config)
+    assert all(group["momentum"] == pytest.approx(0.8) for group in optimizer.param_groups)
+    assert {group["weight_decay"] for group in optimizer.param_groups} == {0.25}
+
+
+def test_decay_of_the_encoder_only(tiny_config: ModelConfig) -> None:
+    optimizer = build_optimizer(ZoeDepth(tiny_config), OptimConfig(decay_encoder_only=True, weight_decay=0.25))
+    decays = {group["name"]: group["weight_decay"] for group in optimizer.param_groups}
+    assert decays == {"encoder": 0.25, "position": 0.25, "decoder": 0.0, "head": 0.0}
+
+
+def test_frozen_parameters_stay(tiny_config: ModelConfig) -> None:
+    model = ZoeDepth(tiny_config)
+    optimizer = build_optimizer(model, OptimConfig(frozen=("encoder.*norm*", "router.*")))
+    frozen = {name for name, parameter in model.named_parameters() if not parameter.requires_grad}
+    assert frozen
+    assert frozen == {
+        name for name, _ in model.named_parameters()
+        if name.startswith("router.") or (name.startswith("encoder.") and "norm" in name)
+    }  # fmt: skip
+    given = {id(parameter) for group in optimizer.param_groups for parameter in group["params"]}
+    assert given == {id(parameter) for parameter in model.parameters() if parameter.requires_grad}

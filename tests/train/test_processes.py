@@ -31,7 +31,7 @@ def train(command: list[str], out: Path) -> list[dict[str, float]]:
 @pytest.mark.parametrize(
     ("recipe", "options", "shown"),
     [
-        ("zoed_lite", ["--config.optim.learning-rate", "1e-4"], ["train/silog", "train/domain"]),
+        ("zoed_lite", ["--config.optim.learning-rate", "3e-5"], ["train/silog", "train/domain"]),
         # Medians, signs and trimming jump: with larger steps the last digit of a sum decides where after ten of them.
         (
             "zoed_lite_relative",

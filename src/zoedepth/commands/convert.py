@@ -15,6 +15,7 @@ def convert(
     to: Literal["zoedepth", "original", "huggingface"],
     name: str | None = None,
     licence: str | None = None,
+    compat: tuple[str, ...] = (),
 ) -> int:
     """Write a model in another layout, bit by bit the same weights.
 
@@ -28,12 +29,15 @@ def convert(
             transformers).
         name: title of the model card; None: the target's name.
         licence: of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
+        compat: what the file does not say, to be written into the config: 80m, a baseline's weights are KITTI's.
     """
     from zoedepth.convert.checkpoint import read_checkpoint, write_checkpoint
+    from zoedepth.presets import with_compat
     from zoedepth.pretrained import build_model, find
 
     path = find(source)
     checkpoint = read_checkpoint(path)
+    checkpoint = checkpoint._replace(config=with_compat(checkpoint.config, compat))
     build_model(checkpoint, source=path)
     written = write_checkpoint(checkpoint, target, to=to, name=name or target.stem, licence=licence)
     print(written)

@@ -260,6 +260,7 @@ class _Writer:
         if self.preview:
             write_image(photo.preview_path, result.preview(vmin=self.vmin, vmax=self.vmax, colormap=self.colormap))
             files["preview"] = photo.preview_path.name
+        confidence = None if result.confidence is None else round(float(np.median(result.confidence)), 4)
         sidecar = {
             "source": str(photo.path),
             "model": self.model,
@@ -271,7 +272,7 @@ class _Writer:
             "unit": "metre",
             "png_scale": scale,
             "depth": _rounded({"min": depth.min(), "median": np.median(depth), "max": depth.max()}),
-            "median_confidence": round(float(np.median(result.confidence)), 4),
+            "median_confidence": confidence,
             "files": files,
             "zoedepth": __version__,
             "seconds": round(seconds, 3),

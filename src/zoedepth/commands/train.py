@@ -1,8 +1,9 @@
 """``zoedepth train RECIPE --data NAME=SOURCE ... --out DIR``, and ``zoedepth train finetune``."""
 
+import argparse
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.data import named_sources
+from zoedepth.config import BaselineConfig
 from zoedepth.errors import InputError
+from zoedepth.presets import with_encoder, with_head
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import TrainConfig
 
@@ -34,12 +37,18 @@ class Run:
     """Processes on this machine, one a GPU (or, on the CPU, one a group of cores); under torchrun, its own number."""
     nodes: int = 1
     """Machines."""
+    head: str | None = None
+    """Another metric head than the recipe's: attractor, splitter, pixelbins, dorn, newcrfs, naive, adabins or bts, as
+    the paper compares it; its own fields are then under --config.model.head."""
+    encoder: str | None = None
+    """Another encoder than the recipe's, by its timm name; of a baseline, any that gives maps at its strides."""
     config: TrainConfig = field(default_factory=RECIPES["zoed_lite"])
     """The recipe; every field can be overridden."""
 
 
 _USAGE = f"""usage: zoedepth train finetune --data SOURCE --out DIR     your own photos with depth
-       zoedepth train RECIPE --data NAME=SOURCE ... --out DIR [--init WEIGHTS] [--config.FIELD VALUE]
+       zoedepth train RECIPE --data NAME=SOURCE ... --out DIR [--init WEIGHTS] [--head HEAD] [--encoder ENCODER]
+                      [--config.FIELD VALUE]
 
 recipes: {", ".join(RECIPES)}     (zoedepth train RECIPE --help for all fields)"""
 
@@ -54,7 +63,7 @@ def train(arguments: Sequence[str]) -> int:
         return tyro.cli(finetune, args=rest, prog="zoedepth train finetune")
     if name not in RECIPES:
         raise InputError(f"there is no recipe {name!r}; there are {sorted(RECIPES)}")
-    config = RECIPES[name]()
+    config = _with_parts(RECIPES[name](), rest)
     run = tyro.cli(
         Run,
         args=rest,
@@ -71,6 +80,28 @@ def train(arguments: Sequence[str]) -> int:
     )
     print(last)
     return 0
+
+
+def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
+    """The recipe with the head and the encoder that the command line names: the fields that can be set depend on them.
+
+    Raises:
+        InputError: there are no such, or the recipe's model cannot have them.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--head")
+    parser.add_argument("--encoder")
+    chosen, _ = parser.parse_known_args(arguments)
+    model = config.model
+    if isinstance(model, BaselineConfig):
+        if chosen.head is not None:
+            raise InputError("a baseline has the head it has; --head is for the recipes of ZoeDepth")
+        if chosen.encoder is not None:
+            model = replace(model, network=replace(model.network, encoder=chosen.encoder))
+        return replace(config, model=model)
+    if chosen.encoder is not None:
+        model = with_encoder(model, chosen.encoder)
+    return replace(config, model=model if chosen.head is None else with_head(model, chosen.head))
 
 
 def finetune(

@@ -13,8 +13,8 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from zoedepth.card import model_card
-from zoedepth.config import ModelConfig, from_dict, to_dict
-from zoedepth.convert import huggingface, midas, original
+from zoedepth.config import AnyModelConfig, ModelConfig, model_config_from_dict, to_dict
+from zoedepth.convert import adabins, bts, huggingface, localbins, midas, newcrfs, original, pixelbins
 from zoedepth.convert.files import parse_json, read_json, read_tensors
 from zoedepth.convert.keys import Table, shown
 from zoedepth.errors import InputError
@@ -29,11 +29,11 @@ WEIGHTS, CONFIG, PREPROCESSOR, CARD = "model.safetensors", "config.json", "prepr
 class Checkpoint(NamedTuple):
     """What a file or folder of weights holds, in our terms."""
 
-    config: ModelConfig
+    config: AnyModelConfig
     weights: dict[str, Tensor]
     """Under our names, of the file's types."""
     layout: str
-    """"zoedepth", "original", "midas" or "huggingface": who wrote it."""
+    """"zoedepth", "original", "midas", "huggingface", or a baseline's name: who wrote it."""
     name_in_file: Callable[[str], str]
     """One of our names → how the file calls it, for messages."""
 
@@ -41,7 +41,8 @@ class Checkpoint(NamedTuple):
 def read_checkpoint(path: str | Path) -> Checkpoint:
     """Config and weights of a file or folder of any known layout.
 
-    The layout is told by the names of the weights: our own, the original's, MiDaS's, those of transformers 4 or 5.
+    The layout is told by the names of the weights: our own, the original's, MiDaS's, those of transformers 4 or 5,
+    those of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs.
     Whether all weights are there and fit is for the one who builds the model to say.
 
     Raises:
@@ -83,6 +84,9 @@ def _recognise(weights: dict[str, Tensor], texts: Mapping[str, str], folder: Pat
         )
     if original.is_original(weights):
         return _translated("original", lambda: original.read(weights))
+    for layout, (is_theirs, read) in _BASELINES.items():
+        if is_theirs(weights):
+            return _translated(layout, lambda read=read: read(weights))
     if any(name.startswith("pretrained.") for name in weights):
         return _translated("midas", lambda: midas.read(weights))
     if "config" in texts:
@@ -93,14 +97,25 @@ def _recognise(weights: dict[str, Tensor], texts: Mapping[str, str], folder: Pat
                 "there is no ZoeDepth config in its metadata, nor in a config.json beside it; "
                 "write models with zoedepth.save_model"
             )
-        return Checkpoint(from_dict(ModelConfig, config["zoedepth"]), weights, "zoedepth", str)
+        return Checkpoint(model_config_from_dict(config["zoedepth"]), weights, "zoedepth", str)
     raise InputError(
-        "these are the weights of no ZoeDepth: its own, the original's, MiDaS's DPT-BEiT and transformers' are known. "
+        "these are the weights of no ZoeDepth: its own, the original's, MiDaS's DPT-BEiT, transformers' and those of "
+        f"the baselines {sorted(_BASELINES)} are known. "
         f"The first names: {shown(list(weights), limit=3)}"
     )
 
 
-def _translated(layout: str, read: Callable[[], tuple[ModelConfig, dict[str, Tensor], Table]]) -> Checkpoint:
+_BASELINES = {
+    "bts": (bts.is_bts, bts.read),
+    "adabins": (adabins.is_adabins, adabins.read),
+    "localbins": (localbins.is_localbins, localbins.read),
+    "pixelbins": (pixelbins.is_pixelbins, pixelbins.read),
+    "newcrfs": (newcrfs.is_newcrfs, newcrfs.read),
+}
+"""The checkpoints of other systems: how each is recognised, and read."""
+
+
+def _translated(layout: str, read: Callable[[], tuple[AnyModelConfig, dict[str, Tensor], Table]]) -> Checkpoint:
     config, weights, table = read()
     return Checkpoint(config, weights, layout, lambda name: "/".join(table.theirs(name)) or name)
 
@@ -113,12 +128,12 @@ def _json_beside(folder: Path, name: str, key: str) -> dict | None:
     return values if key in values else None
 
 
-def _config(text: str) -> ModelConfig:
+def _config(text: str) -> AnyModelConfig:
     try:
         values = parse_json(text)
     except InputError as error:
         raise InputError(f"the config in its metadata makes no model: {error}") from error
-    return from_dict(ModelConfig, values)
+    return model_config_from_dict(values)
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
@@ -144,7 +159,7 @@ def write_checkpoint(
     if to == "original":
         if path.suffix not in (".pt", ".pth"):
             raise InputError(f"{path}: the original's layout is a file; give a name that ends with .pt")
-        theirs = original.write(config, weights)
+        theirs = original.write(_zoedepth(config, to), weights)
         with atomic_path(path) as part:
             torch.save({"model": theirs, "optimizer": None, "epoch": 0}, part)
         return path
@@ -155,10 +170,11 @@ def write_checkpoint(
     if path.suffix in (".pt", ".pth", ".safetensors"):
         raise InputError(f"{path}: the {to} layout is a folder, whose name must not end with {path.suffix}")
     if to == "huggingface":
-        theirs = huggingface.write(config, weights)
+        model = _zoedepth(config, to)
+        theirs = huggingface.write(model, weights)
         texts = {
-            CONFIG: huggingface.config_json(config, weights),
-            PREPROCESSOR: huggingface.preprocessor_json(config),
+            CONFIG: huggingface.config_json(model, weights),
+            PREPROCESSOR: huggingface.preprocessor_json(model),
         }
     else:
         theirs, texts = weights, {CONFIG: {"library_name": "zoedepth", "zoedepth": to_dict(config)}}
@@ -170,7 +186,13 @@ def write_checkpoint(
     return path
 
 
-def _save(weights: Mapping[str, Tensor], path: Path, config: ModelConfig | None) -> None:
+def _zoedepth(config: AnyModelConfig, to: Layout) -> ModelConfig:
+    if not isinstance(config, ModelConfig):
+        raise InputError(f"the {to} layout has no baselines: write the zoedepth layout")
+    return config
+
+
+def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | None) -> None:
     # transformers demands the format; our config is read from the header, so that the file is enough by itself.
     texts = {"format": "pt"} | ({} if config is None else {"config": json.dumps(to_dict(config))})
     # Two names for one memory are two weights here.

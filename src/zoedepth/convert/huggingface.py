@@ -304,7 +304,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
 
 def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any]:
     """config.json of ``write``'s folder, given the weights under our names."""
-    encoder = config.encoder
+    encoder, head = config.encoder, shapes.attractors(config)
     heads = weights["encoder.network.position_tables.0"].shape[1]
     n_blocks = sum(name.startswith("encoder.network.position_tables.") for name in weights)
     hidden, width = weights["encoder.network.blocks.0.mlp.fc1.weight"].shape
@@ -334,7 +334,7 @@ def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str,
         "bin_configurations": [
             {
                 "name": original.DOMAINS.get(domain.name, domain.name),
-                "n_bins": config.head.n_bins,
+                "n_bins": head.n_bins,
                 "min_depth": domain.min_depth,
                 "max_depth": domain.max_depth,
             }
@@ -342,7 +342,7 @@ def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str,
         ],
         "torch_dtype": "float32",
     }
-    values |= _head_json(config.head)
+    values |= _head_json(head)
     if len(config.domains) > 1:
         values |= {
             "num_patch_transformer_layers": 4,

@@ -81,7 +81,7 @@ def config_of(weights: Mapping[str, Tensor]) -> ModelConfig:
         head = shapes.head(weights, centers="softplus")
         return shapes.model(weights, head=head, domains=(INDOOR, OUTDOOR), size=PRESETS["zoed-m12-nk"].size)
     n_points = shapes.attractor_channels(weights)
-    if n_points == tuple(2 * n for n in PRESETS["zoed-m12-k"].head.n_attractors):
+    if n_points == tuple(2 * n for n in shapes.attractors(PRESETS["zoed-m12-k"]).n_attractors):
         # Normed centers predict pairs of points. Their range is in no checkpoint; 10 m, the original's default, makes
         # every depth 8 times too small.
         head = shapes.head(weights, centers="normed")
@@ -98,22 +98,23 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     """
     problems = refusals(config)
     names = tuple(domain.name for domain in config.domains)
-    router, embedding = config.router, config.head.embedding_width
+    router, kept = config.router, shapes.attractors(config)
     if len(names) == 2:
         fixed = {"attention heads": (router.attention_heads, 4), "router's MLP": (router.feedforward_width, 1024)}
     else:
-        fixed = {"embedding_width": (embedding, 128)}
+        fixed = {"embedding_width": (kept.embedding_width, 128)}
     problems += differences(fixed)
     if len(names) == 2 and names != tuple(DOMAINS):
         problems.append(f"domains {names} (the original has {tuple(DOMAINS)} only)")
     # Its file holds no config: what is read back from the weights must be this model again.
     if not problems:
         again = config_of(weights)
-        if again.head != replace(config.head, initial_centers="random", attractor_ratio=again.head.attractor_ratio):
+        ratio = shapes.attractors(again).attractor_ratio
+        if again.head != replace(kept, initial_centers="random", attractor_ratio=ratio):
             problems.append("a head whose kind cannot be told from its weights")
         elif (again.encoder.size, again.encoder.taps) != (config.encoder.size, config.encoder.taps):
             problems.append("an encoder whose size or taps cannot be told from its weights")
-        elif config.head.centers == "normed" and _range(again) != _range(config):
+        elif kept.centers == "normed" and _range(again) != _range(config):
             problems.append(f"a depth range of {_range(config)} m (it takes {_range(again)} m for normed centers)")
     if problems:
         raise InputError(f"the original ZoeDepth has no such model: {'; '.join(problems)}")
@@ -123,7 +124,8 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
 
 def refusals(config: ModelConfig) -> list[str]:
     """What a config has that neither the original's code nor transformers can do."""
-    head, released, embedding = config.head, PRESETS["zoed-m12-n"].head, config.head.embedding_width
+    head, released = shapes.attractors(config), shapes.attractors(PRESETS["zoed-m12-n"])
+    embedding = head.embedding_width
     values: dict[str, tuple[object, object]] = {
         "encoder family": (config.encoder.family, "beit"),
         "output stride": (config.decoder.output_stride, 1),
@@ -186,8 +188,9 @@ def _unused(config: ModelConfig, theirs: Mapping[str, Tensor]) -> dict[str, Tens
     # timm < 0.9.6, which the original pins, demands them; newer ones must be told strict=False. One tensor, 24 names.
     unused |= {f"{model}.blocks.{i}.attn.relative_position_index": index for i in range(n_blocks)}
     heads = [""] if len(config.domains) == 1 else [f"{DOMAINS.get(d.name, d.name)}." for d in config.domains]
+    n_bins = shapes.attractors(config).n_bins
     for head in heads:
         transform = f"conditional_log_binomial.{head}log_binomial_transform"
-        unused[f"{transform}.k_idx"] = torch.arange(config.head.n_bins).view(1, -1, 1, 1)
-        unused[f"{transform}.K_minus_1"] = torch.tensor([float(config.head.n_bins - 1)]).view(1, -1, 1, 1)
+        unused[f"{transform}.k_idx"] = torch.arange(n_bins).view(1, -1, 1, 1)
+        unused[f"{transform}.K_minus_1"] = torch.tensor([float(n_bins - 1)]).view(1, -1, 1, 1)
     return unused

@@ -62,11 +62,11 @@ def beit(
         native: (height, width) in pixels of the position tables; None: they are square.
         taps: blocks the maps are taken from; None: the last of each quarter, as in all of MiDaS.
     """
-    n_rows, heads = _shape(weights, "encoder.network.position_tables.0", 2)
-    width = _shape(weights, "encoder.network.cls_token", 3)[2]
-    n_blocks = _count(weights, "encoder.network.position_tables.{}")
-    hidden = _shape(weights, "encoder.network.blocks.0.mlp.fc1.weight", 2)[0]
-    channels = tuple(_shape(weights, f"decoder.reassemble.{i}.project.weight", 4)[0] for i in range(4))
+    n_rows, heads = shape_of(weights, "encoder.network.position_tables.0", 2)
+    width = shape_of(weights, "encoder.network.cls_token", 3)[2]
+    n_blocks = count_of(weights, "encoder.network.position_tables.{}")
+    hidden = shape_of(weights, "encoder.network.blocks.0.mlp.fc1.weight", 2)[0]
+    channels = tuple(shape_of(weights, f"decoder.reassemble.{i}.project.weight", 4)[0] for i in range(4))
     if native is None:
         side = math.isqrt(max(n_rows - 3, 0))
         if side**2 + 3 != n_rows or side % 2 == 0:
@@ -102,16 +102,27 @@ _KNOWN = {
 """Width and heads of the encoders that were released; timm knows them, but only once a model is built."""
 
 
+def attractors(config: ModelConfig) -> AttractorConfig:
+    """The head of a model that other people's layouts can hold.
+
+    Raises:
+        InputError: it has another kind of head.
+    """
+    if not isinstance(config.head, AttractorConfig):
+        raise InputError(f"other layouts than ours have attractor heads only, not {type(config.head).__name__}")
+    return config.head
+
+
 def decoder(weights: Weights) -> DecoderConfig:
     """The DPT decoder of these weights."""
-    widths = [_shape(weights, f"decoder.project.{i}.weight", 4)[0] for i in range(4)]
-    features = _shape(weights, "decoder.relative_head.conv2.weight", 4)[0]
+    widths = [shape_of(weights, f"decoder.project.{i}.weight", 4)[0] for i in range(4)]
+    features = shape_of(weights, "decoder.relative_head.conv2.weight", 4)[0]
     return DecoderConfig(widths=(widths[0], widths[1], widths[2], widths[3]), features=features)
 
 
 def attractor_channels(weights: Weights) -> tuple[int, ...]:
     """Output channels of the four attractor layers: points, or pairs of them for normed centers."""
-    return tuple(_shape(weights, f"heads.0.attractors.{i}.mlp.2.weight", 4)[0] for i in range(4))
+    return tuple(shape_of(weights, f"heads.0.attractors.{i}.mlp.2.weight", 4)[0] for i in range(4))
 
 
 def head(
@@ -128,10 +139,10 @@ def head(
         if any(count % 2 for count in counts):
             raise InputError(f"normed attractors come in pairs; the layers give {counts}")
         counts = tuple(count // 2 for count in counts)
-    hidden, inputs = _shape(weights, "heads.0.probability.mlp.0.weight", 4)[:2]
-    embedding, projector = _shape(weights, "shared.seed.2.weight", 4)[:2]
-    seed = _shape(weights, "heads.0.seed.2.weight", 4)
-    extra = inputs - embedding - _shape(weights, "decoder.relative_head.conv2.weight", 4)[0]
+    hidden, inputs = shape_of(weights, "heads.0.probability.mlp.0.weight", 4)[:2]
+    embedding, projector = shape_of(weights, "shared.seed.2.weight", 4)[:2]
+    seed = shape_of(weights, "heads.0.seed.2.weight", 4)
+    extra = inputs - embedding - shape_of(weights, "decoder.relative_head.conv2.weight", 4)[0]
     if extra not in (0, 1) or not 0 < hidden <= inputs:
         problem = f"takes {inputs} channels to {hidden}, which fits none of its inputs"
         raise WeightError("heads.0.probability.mlp.0.weight", problem)
@@ -154,8 +165,8 @@ def head(
 
 def router(weights: Weights, *, attention_heads: int) -> RouterConfig:
     """The transformer router of these weights."""
-    width = _shape(weights, "router.classifier.project.weight", 4)[0]
-    hidden = _shape(weights, "router.classifier.transformer.layers.0.linear1.weight", 2)[0]
+    width = shape_of(weights, "router.classifier.project.weight", 4)[0]
+    hidden = shape_of(weights, "router.classifier.transformer.layers.0.linear1.weight", 2)[0]
     return RouterConfig(
         "trained",
         classifier="transformer",
@@ -165,7 +176,12 @@ def router(weights: Weights, *, attention_heads: int) -> RouterConfig:
     )
 
 
-def _shape(weights: Weights, name: str, n_axes: int) -> tuple[int, ...]:
+def shape_of(weights: Weights, name: str, n_axes: int) -> tuple[int, ...]:
+    """Shape of one of our weights, of which ``n_axes`` axes are expected.
+
+    Raises:
+        WeightError: it is missing, or has another number of axes, or nothing in it.
+    """
     if name not in weights:
         raise WeightError(name, "is missing")
     shape = tuple(weights[name].shape)
@@ -174,7 +190,7 @@ def _shape(weights: Weights, name: str, n_axes: int) -> tuple[int, ...]:
     return shape
 
 
-def _count(weights: Weights, pattern: str) -> int:
+def count_of(weights: Weights, pattern: str) -> int:
     """How many of a numbered weight there are, from 0."""
     n = 0
     while pattern.format(n) in weights:

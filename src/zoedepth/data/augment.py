@@ -60,6 +60,22 @@ def fit_crop(
     return apply
 
 
+def window(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
+    """A window of ``size`` pixels of the photo, at a place drawn uniformly, not resized (BTS, AdaBins, PixelBins).
+
+    Of photos smaller than that, the largest window of its shape, resized. ``sparse``: see ``fit_crop``.
+    """
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        height, width = sample.image.shape[-2:]
+        scale = max(1.0, size[0] / height, size[1] / width)
+        cut = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
+        top, left = int(rng.integers(0, height - cut[0] + 1)), int(rng.integers(0, width - cut[1] + 1))
+        return _resized_window(sample, top, left, cut, size, 1.0, sparse)
+
+    return apply
+
+
 def squeeze(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
     """The whole photo resized to ``size``, whatever its shape (the released training); ``sparse``: see ``fit_crop``."""
 

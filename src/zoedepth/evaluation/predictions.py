@@ -15,7 +15,7 @@ from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.images import DepthArray, read_depth, to_image
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
 
 
@@ -43,7 +43,7 @@ class Source(Interface):
 class ModelSource:
     """A ZoeDepth, run as the protocol says."""
 
-    def __init__(self, model: ZoeDepth) -> None:
+    def __init__(self, model: DepthModel) -> None:
         self.model = model
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:

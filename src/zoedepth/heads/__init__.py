@@ -4,8 +4,26 @@ from typing import NamedTuple
 
 from torch import nn
 
-from zoedepth.config import AttractorConfig
-from zoedepth.heads.attractor import AttractorHead, BinEmbedding, HeadOutput
+from zoedepth.config import (
+    AdaBinsConfig,
+    AttractorConfig,
+    BtsConfig,
+    DornConfig,
+    HeadConfig,
+    NaiveConfig,
+    NewCrfsConfig,
+    PixelBinsConfig,
+    SplitterConfig,
+)
+from zoedepth.heads.adabins import AdaBinsHead
+from zoedepth.heads.attractor import AttractorHead, BinEmbedding
+from zoedepth.heads.bts import BtsHead
+from zoedepth.heads.dorn import DornHead
+from zoedepth.heads.naive import NaiveHead
+from zoedepth.heads.newcrfs import NewCrfsHead
+from zoedepth.heads.output import HeadOutput, PassThrough
+from zoedepth.heads.pixelbins import PixelBinsHead
+from zoedepth.heads.splitter import SplitterEmbedding, SplitterHead
 
 __all__ = ["HEADS", "HeadOutput", "HeadParts"]
 
@@ -19,5 +37,14 @@ class HeadParts(NamedTuple):
     """Once a domain: the output of the shared part to a :class:`HeadOutput`."""
 
 
-HEADS = {AttractorConfig: HeadParts(shared=BinEmbedding, domain=AttractorHead)}
+HEADS: dict[type[HeadConfig], HeadParts] = {
+    AttractorConfig: HeadParts(shared=BinEmbedding, domain=AttractorHead),
+    SplitterConfig: HeadParts(shared=SplitterEmbedding, domain=SplitterHead),
+    NewCrfsConfig: HeadParts(shared=PassThrough, domain=NewCrfsHead),
+    PixelBinsConfig: HeadParts(shared=PassThrough, domain=PixelBinsHead),
+    NaiveConfig: HeadParts(shared=PassThrough, domain=NaiveHead),
+    AdaBinsConfig: HeadParts(shared=PassThrough, domain=AdaBinsHead),
+    DornConfig: HeadParts(shared=PassThrough, domain=DornHead),
+    BtsConfig: HeadParts(shared=PassThrough, domain=BtsHead),
+}
 """The config class of a head → its parts."""

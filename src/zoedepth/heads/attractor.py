@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.config import AttractorConfig, Domain
+from zoedepth.heads.output import HeadOutput
 from zoedepth.heads.probability import LogBinomial, Softmax, expected_depth
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
 
@@ -32,21 +33,6 @@ class BinEmbeddings(NamedTuple):
     """Bin embeddings at strides 16, 8, 4, 2."""
     last: Float[Tensor, "batch features height width"]
     relative: Float[Tensor, "batch 1 height width"]
-
-
-class HeadOutput(NamedTuple):
-    """Metric depth and the distribution it is the mean of, at the resolution of the last decoder map."""
-
-    depth: Float[Tensor, "batch 1 height width"]
-    """Metres."""
-    bin_centers: Float[Tensor, "batch bins height width"]
-    """Metres."""
-    probability: Float[Tensor, "batch bins height width"]
-
-    def std(self) -> Float[Tensor, "batch 1 height width"]:
-        """Metres: standard deviation of the distribution."""
-        squares = (self.probability * (self.bin_centers - self.depth).square()).sum(dim=1, keepdim=True)
-        return squares.sqrt()
 
 
 def inverse_attractor(distance: Tensor, *, alpha: float, gamma: float) -> Tensor:

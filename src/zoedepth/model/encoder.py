@@ -3,7 +3,6 @@
 The differences between families (tokens or maps, channels last or first, four strides or one) end here.
 """
 
-import re
 from typing import Any, NamedTuple
 
 import torch
@@ -23,7 +22,19 @@ class EncoderFeatures(NamedTuple):
     """The class token beside each map, for encoders that have one."""
 
 
-class Encoder(nn.Module):
+class TimmEncoder(nn.Module):
+    """An encoder that is made of a timm network."""
+
+    def load_timm(self, network: nn.Module) -> None:
+        """Take the weights of timm's network of the same shape; what the encoder does not have of it stays out."""
+        raise NotImplementedError  # abstract: each kind of encoder knows where its weights go
+
+    def checkpoint_gradients(self) -> None:
+        """From now on the backward pass computes what is inside blocks or stages again, instead of keeping it."""
+        raise NotImplementedError  # abstract
+
+
+class Encoder(TimmEncoder):
     """One of ``presets.ENCODERS``.
 
     Attributes:
@@ -41,6 +52,14 @@ class Encoder(nn.Module):
         self.channels = self.network.channels
         self.strides = (PATCH,) * 4 if self.has_readout else (4, 8, 16, 32)
         self.reassembled_channels = config.channels if self.has_readout else self.channels
+
+    def load_timm(self, network: nn.Module) -> None:
+        """Take the weights of timm's network of the same shape."""
+        self.network.load_timm(network)
+
+    def checkpoint_gradients(self) -> None:
+        """From now on the backward pass computes what is inside blocks or stages again, instead of keeping it."""
+        self.network.checkpoint_gradients()
 
     def forward(self, pixels: Float[Tensor, "batch 3 height width"]) -> EncoderFeatures:
         """Features of normalised pixels whose sides are multiples of 32."""
@@ -71,14 +90,11 @@ class PyramidNetwork(nn.Module):
         )
         self.channels: tuple[int, ...] = tuple(self.stages.feature_info.channels())
         if config.family == "convolutional":
-            _replace_depthwise(self.stages)
+            replace_depthwise(self.stages)
 
     def load_timm(self, network: nn.Module) -> None:
         """Take the weights of timm's network of the same shape; its classifier, and what follows the maps, stay out."""
-        weights = network.state_dict()
-        # features_only names the stages of Swin layers_0, layers_1, ...
-        given = {re.sub(r"^layers\.(\d)", r"layers_\1", name): value for name, value in weights.items()}
-        self.stages.load_state_dict({name: given[name] for name in self.stages.state_dict()})
+        load_features(self.stages, network)
 
     def checkpoint_gradients(self) -> None:
         """From now on the backward pass computes what is inside the stages again, instead of keeping it."""
@@ -108,7 +124,14 @@ class _Float32Training(nn.Conv2d):
         return super().forward(input)
 
 
-def _replace_depthwise(network: nn.Module) -> None:
+def load_features(stages: nn.Module, network: nn.Module) -> None:
+    """Give timm's ``features_only`` network the weights of the whole network of the same shape."""
+    # features_only names what were nested modules layers_0, features_norm5 and so on.
+    given = {name.replace(".", "_"): value for name, value in network.state_dict().items()}
+    stages.load_state_dict({name: given[name.replace(".", "_")] for name in stages.state_dict()})
+
+
+def replace_depthwise(network: nn.Module) -> None:
     """Put a :class:`_Float32Training` twin in the place of each depthwise convolution."""
     from timm.layers import Conv2dSame
 
@@ -125,6 +148,7 @@ def _replace_depthwise(network: nn.Module) -> None:
                     conv.kernel_size,
                     conv.stride,
                     conv.padding,
+                    conv.dilation,
                     groups=conv.groups,
                     bias=conv.bias is not None,
                 )

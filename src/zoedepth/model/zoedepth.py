@@ -1,7 +1,6 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeVar
 
 import torch
 from jaxtyping import Float, Int
@@ -10,32 +9,14 @@ from torch import Tensor, nn
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.heads import HEADS, HeadOutput
-from zoedepth.heads.probability import expected_depth
+from zoedepth.heads.output import mixed
 from zoedepth.model.decoder import Decoder, DecoderFeatures, upsample
 from zoedepth.model.encoder import Encoder
+from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.model.router import Routing, build_router
 
 
-class DepthOutput(NamedTuple):
-    """What the model says of a batch."""
-
-    depth: Float[Tensor, "batch 1 height width"]
-    """Metres along the optical axis, at network resolution."""
-    relative: Float[Tensor, "batch 1 height width"]
-    """Relative depth: inverse depth up to an unknown scale and shift; near is large."""
-    domain: Int[Tensor, " batch"]
-    """Index in ``config.domains`` of the head each image took."""
-    domain_logits: Float[Tensor, "batch domains"] | None
-    """The router's scores; None where nothing was to be decided."""
-    std: Float[Tensor, "batch 1 height width"] | None
-    """Metres: standard deviation of the bin distribution, of which depth is the mean; on request."""
-    bin_centers: Float[Tensor, "batch bins height width"] | None
-    """Metres; on request."""
-    probability: Float[Tensor, "batch bins height width"] | None
-    """Sums to 1 over the bins; on request."""
-
-
-class ZoeDepth(nn.Module):
+class ZoeDepth(DepthModel):
     """One encoder and decoder, one metric head a domain, and a router that gives each image its head.
 
     Without any domain in its config it has encoder and decoder only, and gives relative depth.
@@ -44,12 +25,12 @@ class ZoeDepth(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.config = config
-        self.encoder = Encoder(config.encoder)
+        self.encoder = encoder = Encoder(config.encoder)
         self.decoder = Decoder(
-            self.encoder.channels,
-            self.encoder.strides,
-            has_readout=self.encoder.has_readout,
-            reassembled_channels=self.encoder.reassembled_channels,
+            encoder.channels,
+            encoder.strides,
+            has_readout=encoder.has_readout,
+            reassembled_channels=encoder.reassembled_channels,
             widths=config.decoder.widths,
             features=config.decoder.features,
             output_stride=config.decoder.output_stride,
@@ -60,18 +41,6 @@ class ZoeDepth(nn.Module):
         self.shared = head.shared(self.decoder.channels, config.head)
         self.router = build_router(config.router, self.decoder.channels.bottleneck, len(config.domains))
         self.heads = nn.ModuleList(head.domain(self.decoder.channels, config.head, d) for d in config.domains)
-
-    @classmethod
-    def from_pretrained(cls, name_or_path: str | Path) -> "ZoeDepth":
-        """The same as ``zoedepth.load_model``: a name, a file, a folder or a Hugging Face id."""
-        from zoedepth.pretrained import load_model  # which builds on this module
-
-        return load_model(name_or_path)
-
-    @property
-    def device(self) -> torch.device:
-        """Where the weights are."""
-        return next(self.parameters()).device
 
     def forward(
         self,
@@ -97,20 +66,20 @@ class ZoeDepth(nn.Module):
                 "this model has no metric head, it gives relative depth only: use model.relative(pixels) or "
                 "Predictor.relative(photo), or train metric heads on it (zoedepth train --init)"
             )
-        self._check(pixels, domain)
+        self.check(pixels, domain)
         size = pixels.shape[-2:]
         features = self.shared(self.relative_features(pixels))
         routing = self.router(features.bottleneck, domain)
-        outputs, order = self._apply_heads(features, routing)
+        output, std = self._apply_heads(features, routing, std=return_std, bins=return_bins)
         return DepthOutput(
-            upsample(_stitch([output.depth for output in outputs], order), size),
+            upsample(output.depth, size),
             upsample(features.relative, size),
             routing.domain,
             routing.logits,
-            upsample(_stitch([output.std() for output in outputs], order), size) if return_std else None,
-            # As large as n_bins depth maps each.
-            upsample(_stitch([output.bin_centers for output in outputs], order), size) if return_bins else None,
-            upsample(_stitch([output.probability for output in outputs], order), size) if return_bins else None,
+            None if std is None else upsample(std, size),
+            None if output.bin_centers is None else upsample(output.bin_centers, size),
+            None if output.probability is None else upsample(output.probability, size),
+            output.supervision,
         )
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
@@ -124,42 +93,26 @@ class ZoeDepth(nn.Module):
         Raises:
             InputError: wrong shape or size.
         """
-        self._check(pixels, None)
+        self.check(pixels, None)
         return upsample(self.relative_features(pixels).relative, pixels.shape[-2:])
 
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
         """Stage 1's part of the model: encoder and decoder, with the relative depth, at the decoder's resolution."""
         return self.decoder(self.encoder(normalize(pixels)))
 
-    def _apply_heads(self, features: Any, routing: Routing) -> tuple[list[HeadOutput], Int[Tensor, " batch"]]:
-        """The heads' outputs, each for its own images, and the place of each image of the batch in their sequence."""
+    def _apply_heads(
+        self, features: Any, routing: Routing, *, std: bool, bins: bool
+    ) -> tuple[HeadOutput, Tensor | None]:
+        """What the heads say, each of its own images, in the order of the batch; and the standard deviations."""
         if routing.weight is not None:
-            return [_mix([head(features) for head in self.heads], routing.weight)], torch.arange(len(routing.domain))
+            return _kept(mixed([head(features) for head in self.heads], routing.weight), std=std, bins=bins)
         groups = [(routing.domain == index).nonzero().flatten() for index in range(len(self.heads))]
-        outputs = [head(_take(features, rows)) for head, rows in zip(self.heads, groups, strict=True) if len(rows)]
-        return outputs, torch.cat(groups).argsort()
-
-    def _check(self, pixels: Tensor, domain: Tensor | None) -> None:
-        if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point():
-            raise InputError(
-                f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {tuple(pixels.shape)}"
-            )
-        config, size = self.config, tuple(pixels.shape[-2:])
-        if config.encoder.family == "swin" and size != config.size:
-            raise InputError(f"{config.encoder.name} takes pixels of {config.size} only; got {size}")
-        if any(side == 0 or side % config.multiple for side in size):
-            raise InputError(
-                f"the sides of pixels must be multiples of {config.multiple}; got {size}. "
-                "Use zoedepth.Predictor, which resizes, or zoedepth.sizes.network_size"
-            )
-        if domain is None:
-            return
-        n_domains = len(config.domains)
-        integers = domain.dtype in (torch.int64, torch.int32)
-        if not integers or domain.shape != pixels.shape[:1] or not ((domain >= 0) & (domain < n_domains)).all():
-            raise InputError(
-                f"domain must hold {len(pixels)} integers, one an image, from 0 to {n_domains - 1}; got {domain}"
-            )
+        said = [
+            _kept(head(_take(features, rows)), std=std, bins=bins)
+            for head, rows in zip(self.heads, groups, strict=True)
+            if len(rows)
+        ]
+        return said[0] if len(said) == 1 else _stitch(said, torch.cat(groups).argsort())
 
 
 def normalize(pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
@@ -176,14 +129,21 @@ def _take(features: Any, rows: Int[Tensor, " rows"]) -> Any:
     ))  # fmt: skip
 
 
-def _stitch(parts: list[Tensor], order: Int[Tensor, " batch"]) -> Tensor:
-    """Maps of groups of images, back in the order of the batch."""
-    return parts[0] if len(parts) == 1 else torch.cat(parts)[order]
+def _kept(output: HeadOutput, *, std: bool, bins: bool) -> tuple[HeadOutput, Tensor | None]:
+    """What was asked for: bins are as large as n_bins depth maps each, twice."""
+    spread = output.std() if std else None
+    return (output if bins else output._replace(bin_centers=None, probability=None)), spread
 
 
-def _mix(outputs: list[HeadOutput], weight: Float[Tensor, "batch domains"]) -> HeadOutput:
-    """One distribution over the bins of all heads; its mean is the weighted mean of their depths."""
-    weights = weight[:, :, None, None, None].unbind(dim=1)
-    centers = torch.cat([output.bin_centers for output in outputs], dim=1)
-    probability = torch.cat([w * output.probability for w, output in zip(weights, outputs, strict=True)], dim=1)
-    return HeadOutput(expected_depth(probability, centers), centers, probability)
+Tree = TypeVar("Tree")
+
+
+def _stitch(parts: list[Tree], order: Int[Tensor, " batch"]) -> Tree:
+    """What was said of groups of images, tensors in tuples of tuples, back in the order of the batch."""
+    first = parts[0]
+    if isinstance(first, Tensor):
+        return torch.cat(parts)[order]  # type: ignore[arg-type]  # all are tensors if one is
+    if not isinstance(first, tuple):
+        return first  # nothing: None
+    fields = [_stitch(list(field), order) for field in zip(*parts, strict=True)]  # type: ignore[arg-type]  # tuples
+    return type(first)(*fields) if hasattr(first, "_fields") else type(first)(fields)

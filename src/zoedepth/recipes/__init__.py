@@ -4,6 +4,9 @@ from collections.abc import Callable
 from functools import partial
 
 from zoedepth.recipes import demo, metric, relative, zoed_lite
+from zoedepth.recipes.ablations import ABLATIONS
+from zoedepth.recipes.baselines import BASELINE_RECIPES
+from zoedepth.recipes.comparison import COMPARISON
 from zoedepth.train.config import TrainConfig
 
 
@@ -34,5 +37,9 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
         "zoed-m12-n-swin-l", "zoed-m12-n-swin2-t", "zoed-m12-n-swin2-b", "zoed-m12-n-swin2-l", "zoed-m12-n-beit-b",
         "zoed-m12-n-beit-l-512", "zoed-m12-n-efficientnet-b5",
     ),
+    # The paper's Tables 2, 5 and 6, and its baselines; and all of them, small, on equal terms.
+    **ABLATIONS,
+    **BASELINE_RECIPES,
+    **COMPARISON,
 }  # fmt: skip
 """Name on the command line → function."""

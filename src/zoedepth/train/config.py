@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import AnyModelConfig, ModelConfig
 from zoedepth.errors import InputError
 
 Precision = Literal["auto", "bf16-mixed", "16-mixed", "32-true"]
@@ -25,8 +25,11 @@ class SourceConfig:
     """Depth is known at scattered points (lidar): resizing keeps each, where taking every n-th pixel loses most."""
     gradient_term: bool = True
     """Stage 1: the gradient term of the loss is used. Not for scattered depth, which has no neighbours (DPT)."""
-    crop: Literal["squeeze", "fit"] = "squeeze"
-    """squeeze: the whole photo, its shape ignored (released). fit: a window of the network's shape."""
+    crop: Literal["squeeze", "fit", "window"] = "squeeze"
+    """squeeze: the whole photo, its shape ignored (released). fit: a window of the network's shape, as large as fits.
+    window: one of the size below, not resized (the native baselines)."""
+    window: tuple[int, int] | None = None
+    """window only: its (height, width), multiples of the model's; None: the model's size."""
     max_zoom: float = 1.0
     """fit only: windows are up to this many times smaller than the photo, and depth that many times nearer."""
     zoom_probability: float = 1.0
@@ -49,8 +52,11 @@ class SourceConfig:
 
 @dataclass(frozen=True)
 class OptimConfig:
-    """AdamW with one-cycle rates (paper; released ``config_zoedepth.json``), or with constant ones (MiDaS v3.1)."""
+    """AdamW with one-cycle rates (paper; released ``config_zoedepth.json``), with constant ones (MiDaS v3.1), or with
+    falling ones (BTS, NeWCRFs; DORN, with plain gradient descent)."""
 
+    optimizer: Literal["adamw", "sgd"] = "adamw"
+    """adamw, or gradient descent with the momentum below."""
     learning_rate: float = 1.61e-4
     """Highest rate, that of the metric heads and the router."""
     encoder_factor: float = 0.1
@@ -60,9 +66,14 @@ class OptimConfig:
     decoder_factor: float = 1.0
     """The decoder's rate, as a factor of it. 0 freezes the decoder."""
     weight_decay: float = 0.01
-    """AdamW's decay of all weights."""
-    schedule: Literal["one-cycle", "constant"] = "one-cycle"
-    """one-cycle: see the fields below. constant: every rate as it is, the first beta the higher of ``momentum``."""
+    """Decay of the weights."""
+    decay_encoder_only: bool = False
+    """The weights after the encoder are not decayed (BTS)."""
+    frozen: tuple[str, ...] = ()
+    """Parameters that stay as they are, as patterns of their names: ``encoder.*norm*`` (BTS)."""
+    schedule: Literal["one-cycle", "constant", "polynomial"] = "one-cycle"
+    """one-cycle: see the fields below. constant: every rate as it is. polynomial: from the highest rate to that divided
+    by ``final_division``, as the power 0.9 of the steps that are left. The latter two with the higher ``momentum``."""
     warmup: float = 0.7
     """Share of the steps before the rates fall."""
     initial_division: float = 1.0
@@ -70,7 +81,7 @@ class OptimConfig:
     final_division: float = 1e4
     """The last rate is the first divided by this."""
     momentum: tuple[float, float] = (0.85, 0.95)
-    """AdamW's first beta: lowest where the rate is highest, and the other way round."""
+    """AdamW's first beta, or the momentum: lowest where the rate is highest, and the other way round."""
     eps: float = 1e-8
     """Added to AdamW's denominator; BTS trains with 1e-3."""
     clip: float = 0.1
@@ -83,7 +94,7 @@ class TrainConfig:
 
     stage: Literal["relative", "metric"]
     """relative: encoder and decoder on disparity. metric: the whole model on depth in metres."""
-    model: ModelConfig
+    model: AnyModelConfig
     """The network."""
     sources: tuple[SourceConfig, ...]
     """The data sets it can be trained on; those given with ``--data`` are used."""
@@ -100,6 +111,10 @@ class TrainConfig:
     are those of a batch (SILog) are then those of the smaller ones."""
     domain_weight: float = 100.0
     """metric: weight of the router's cross-entropy."""
+    chamfer_weight: float = 0.1
+    """metric: weight of the distance between an image's bins and its depths, for AdaBins."""
+    window_chamfer_weight: float = 0.02
+    """metric: weight of that between windows' bins and their depths, for LocalBins with windows."""
     route_by_label: bool = True
     """metric: while training, images take the head of their label; False: the router's choice (released)."""
     trim: float = 0.2
@@ -149,5 +164,13 @@ class TrainConfig:
         for name in ("pareto_every", "validate_every", "checkpoint_every", "log_every", "keep_checkpoints"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be >= 1; it is {getattr(self, name)}")
+        if self.stage == "relative" and not isinstance(self.model, ModelConfig):
+            raise InputError("the baselines have no relative depth to train: stage 1 is for ZoeDepth")
+        windows = {source.window for source in self.sources if source.crop == "window"} - {None}
+        if any(side % self.model.multiple for window in windows if window for side in window):
+            raise InputError(f"windows must have sides that are multiples of {self.model.multiple}; got {windows}")
+        sizes = {source.window if source.crop == "window" else None for source in self.sources}
+        if self.mix_by == "image" and len(sizes) > 1:
+            raise InputError(f"sources of different windows {sizes} cannot be in one batch: mix_by must be 'batch'")
         if self.mix_by == "batch" and self.stage == "relative" and len(self.sources) > 1:
             raise InputError("stage 1 needs all data sets in each batch: mix_by must be 'image'")

@@ -17,6 +17,7 @@ from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.images import atomic_path, write_image
 from zoedepth.metrics import Metrics
+from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
@@ -85,6 +86,8 @@ def plan(
     out.mkdir(parents=True, exist_ok=True)
     write_image(out / "data.jpg", data_sheet(samples[:8]))
     model = load_model(init)
+    if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
+        raise InputError(f"{init} is a baseline: train one with its recipe (zoedepth train RECIPE --init)")
     if not model.config.domains:
         raise InputError(f"{init} gives relative depth only; train metric heads on it: zoedepth train RECIPE --init")
     far: dict[str, float] = {}
@@ -133,6 +136,8 @@ def finetune(
     """
     model = load_model(plan.init)
     start = out / INITIAL
+    assert isinstance(model, ZoeDepth)  # or there would be no plan
+    assert isinstance(plan.config.model, ModelConfig)
     save_model(extended(model, plan.config.model), start)
     before = {name: _measure(str(start), name, plan, "before") for name in plan.data}
     config = plan.config

@@ -16,7 +16,7 @@ from torch.utils.data import DataLoader, Subset
 from zoedepth.data.mix import Mixture, Positions, Source
 from zoedepth.data.sample import Batch, Sample, collate
 from zoedepth.errors import TrainingError
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel, build_network
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.log import Log
 from zoedepth.train.optim import build_optimizer, set_rates
@@ -44,7 +44,7 @@ class Run:
         self,
         config: TrainConfig,
         *,
-        part: Callable[[ZoeDepth], nn.Module],
+        part: Callable[[DepthModel], nn.Module],
         data: Mapping[str, str | Path],
         out: Path,
         init: str | None,
@@ -58,11 +58,11 @@ class Run:
         training, self.validation = load_sources(config, data)
         self.sources = [source for source, _ in training]
 
-        model = ZoeDepth(config.model).to(memory_format=torch.channels_last)
+        model = build_network(config.model).to(memory_format=torch.channels_last)
         finished = checkpoints(out)
         started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
         if config.gradient_checkpointing:
-            model.encoder.network.checkpoint_gradients()
+            model.encoder.checkpoint_gradients()
         network = part(model)
         optimizer = build_optimizer(network, config.optim)
         self.state = TrainState(model, optimizer, averaged(model, config.ema_decay))

@@ -1,19 +1,21 @@
 """Rates: parameter groups and the one-cycle schedule, as a pure function of the step."""
 
 import math
+from fnmatch import fnmatch
 
 import torch
 from torch import nn
-from torch.optim import AdamW
+from torch.optim import SGD, AdamW, Optimizer
 
 from zoedepth.train.config import OptimConfig
 
 
-def build_optimizer(model: nn.Module, config: OptimConfig) -> AdamW:
-    """AdamW with a group each for encoder, position tables, decoder, and everything else (heads, router).
+def build_optimizer(model: nn.Module, config: OptimConfig) -> Optimizer:
+    """The optimizer, with a group each for encoder, position tables, decoder, and everything else (heads, router).
 
     A group's rate is ``config.learning_rate`` times its factor, kept as ``factor`` in the group; a group of factor 0 is
-    frozen. The reassembling part of the decoder goes with the encoder, as released.
+    frozen, and so are the parameters that ``config.frozen`` names. The reassembling part of the decoder goes with the
+    encoder, as released.
     """
     factors = {
         "encoder": config.encoder_factor,
@@ -24,20 +26,25 @@ def build_optimizer(model: nn.Module, config: OptimConfig) -> AdamW:
     groups: dict[str, list[nn.Parameter]] = {name: [] for name in factors}
     for name, parameter in model.named_parameters():
         group = _group(name)
-        if factors[group] == 0:
+        if factors[group] == 0 or any(fnmatch(name, pattern) for pattern in config.frozen):
             parameter.requires_grad_(False)
         elif parameter.requires_grad:
             groups[group].append(parameter)
-    return AdamW(
-        [
-            {"params": parameters, "lr": config.learning_rate * factors[name], "factor": factors[name], "name": name}
-            for name, parameters in groups.items()
-            if parameters
-        ],
-        betas=(config.momentum[1], 0.999),
-        eps=config.eps,
-        weight_decay=config.weight_decay,
-    )
+    decayed = {"encoder", "position"} if config.decay_encoder_only else groups.keys()
+    described = [
+        {
+            "params": parameters,
+            "lr": config.learning_rate * factors[name],
+            "weight_decay": config.weight_decay if name in decayed else 0.0,
+            "factor": factors[name],
+            "name": name,
+        }
+        for name, parameters in groups.items()
+        if parameters
+    ]
+    if config.optimizer == "sgd":
+        return SGD(described, momentum=config.momentum[1])
+    return AdamW(described, betas=(config.momentum[1], 0.999), eps=config.eps)
 
 
 def _group(name: str) -> str:
@@ -62,10 +69,22 @@ def one_cycle(step: int, steps: int, config: OptimConfig) -> tuple[float, float]
 
 def set_rates(optimizer: torch.optim.Optimizer, step: int, steps: int, config: OptimConfig) -> None:
     """Give every group its rate and momentum of this step."""
-    factor, beta = (1.0, config.momentum[1]) if config.schedule == "constant" else one_cycle(step, steps, config)
+    if config.schedule == "one-cycle":
+        factor, beta = one_cycle(step, steps, config)
+    else:
+        factor, beta = polynomial(step, steps, config) if config.schedule == "polynomial" else 1.0, config.momentum[1]
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate * group["factor"] * factor
-        group["betas"] = (beta, group["betas"][1])
+        if "betas" in group:
+            group["betas"] = (beta, group["betas"][1])
+        else:
+            group["momentum"] = beta
+
+
+def polynomial(step: int, steps: int, config: OptimConfig) -> float:
+    """The rate at a step, as a factor of the highest: from 1 to ``1 / final_division`` (BTS ``bts_main.py``)."""
+    last = 1 / config.final_division
+    return last + (1 - last) * (1 - step / steps) ** 0.9
 
 
 def _anneal(start: float, end: float, progress: float) -> float:

@@ -11,14 +11,14 @@ from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.sample import Sample
 from zoedepth.evaluation.scoring import fit, least_squares
 from zoedepth.images import DepthArray, ImageArray, to_image
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
 
 _WIDTH = 320
 
 
 def predictions_sheet(
-    model: ZoeDepth, samples: Sequence[Sample], *, stage: Literal["relative", "metric"]
+    model: DepthModel, samples: Sequence[Sample], *, stage: Literal["relative", "metric"]
 ) -> ImageArray:
     """A row a sample: the photo, what is known of its depth (grey: nothing), and what the model says.
 

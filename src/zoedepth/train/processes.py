@@ -1,6 +1,8 @@
 """The processes of a run: one, several on this machine, or those that torchrun has started on many."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
@@ -68,6 +70,23 @@ def total(x: Tensor) -> Tensor:
     gradients is what one process with the whole batch would have got.
     """
     return _Total.apply(x) if several_processes() else x  # type: ignore[return-value]  # torch does not say what apply returns
+
+
+@contextmanager
+def raw_gradients() -> Iterator[None]:
+    """Inside, ``torch.autograd.grad`` may go through a network that Fabric has set up for mixed precision.
+
+    Fabric refuses every backward pass that is not ``fabric.backward``, so that float16's scaling of the loss is not
+    forgotten, and has no public way to say that gradients of a part, not scaled, are what is wanted.
+    """
+    from lightning_fabric import wrappers
+
+    before = wrappers._in_fabric_backward
+    wrappers._in_fabric_backward = True
+    try:
+        yield
+    finally:
+        wrappers._in_fabric_backward = before
 
 
 def several_processes() -> bool:

@@ -11,18 +11,20 @@ from torch import Tensor, nn
 from zoedepth import losses
 from zoedepth.data.sample import Batch
 from zoedepth.model.decoder import upsample
+from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth, normalize
 from zoedepth.pareto import min_norm_weights, normalized
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.loop import Run
-from zoedepth.train.processes import several_processes, total
+from zoedepth.train.processes import raw_gradients, several_processes, total
 
 
 class RelativeModel(nn.Module):
     """The part of the model that stage 1 trains; parameters have the names they have in the model."""
 
-    def __init__(self, model: ZoeDepth) -> None:
+    def __init__(self, model: DepthModel) -> None:
         super().__init__()
+        assert isinstance(model, ZoeDepth)  # TrainConfig refuses others
         self.encoder = model.encoder
         self.decoder = model.decoder
 
@@ -93,11 +95,13 @@ def pareto_weights(
     tasks: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"], config: TrainConfig, run: Run
 ) -> Float[Tensor, " tasks"]:
     """The weights of the multi-objective step for the data sets of this batch; NaN for the others."""
-    part = run.state.model.decoder if config.pareto_parameters == "decoder" else run.network
+    model = run.state.model
+    part = model.decoder if config.pareto_parameters == "decoder" and isinstance(model, ZoeDepth) else run.network
     parameters = [parameter for parameter in part.parameters() if parameter.requires_grad]
     rows = []
     for task in tasks[present]:
-        found = torch.autograd.grad(task, parameters, retain_graph=True, allow_unused=True)
+        with raw_gradients():
+            found = torch.autograd.grad(task, parameters, retain_graph=True, allow_unused=True)
         rows.append(torch.cat([gradient.float().flatten() for gradient in found if gradient is not None]))
     gradients = torch.stack(rows)
     if several_processes():

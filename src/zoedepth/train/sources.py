@@ -68,6 +68,8 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
                 sparse=source.sparse,
             )
         )
+    elif source.crop == "window":
+        steps.append(augment.window(source.window or config.model.size, sparse=source.sparse))
     else:
         steps.append(augment.squeeze(config.model.size, sparse=source.sparse))
     steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]

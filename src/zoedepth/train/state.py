@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from zoedepth.config import from_dict
+from zoedepth.config import from_dict, to_dict
 from zoedepth.errors import InputError
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel
 from zoedepth.pretrained import save_model
 from zoedepth.train.config import TrainConfig
 
@@ -25,7 +25,7 @@ from zoedepth.train.config import TrainConfig
 class TrainState:
     """What changes while training."""
 
-    model: ZoeDepth
+    model: DepthModel
     optimizer: torch.optim.Optimizer
     ema: AveragedModel | None
     step: int = 0
@@ -34,7 +34,7 @@ class TrainState:
     """Stage 1: the last solution for the weights of the data sets."""
 
     @property
-    def result(self) -> ZoeDepth:
+    def result(self) -> DepthModel:
         """The model to validate and to ship: the averaged one where there is one."""
         return self.model if self.ema is None else self.ema.module  # type: ignore[return-value]  # a copy of model
 
@@ -63,7 +63,7 @@ class TrainState:
             },
             part / "train.pt",
         )
-        meta = {"step": self.step, "config": dataclasses.asdict(config), **identity}
+        meta = {"step": self.step, "config": to_dict(config), **identity}
         (part / "meta.json").write_text(json.dumps(meta, indent=2), encoding="utf-8")
         for path in part.iterdir():  # on the disk before it has its name: a power cut leaves the checkpoint before
             with path.open("rb") as file:

@@ -14,12 +14,12 @@ from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.scoring import Score, fit, least_squares, score
 from zoedepth.metrics import mean_metrics
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
 
 
 def validate(
-    model: ZoeDepth, validation: Mapping[str, Samples], *, stage: Literal["relative", "metric"]
+    model: DepthModel, validation: Mapping[str, Samples], *, stage: Literal["relative", "metric"]
 ) -> dict[str, float]:
     """``validation/{data}/{metric}`` of each held-out set.
 
@@ -38,7 +38,7 @@ def validate(
     return numbers
 
 
-def _metric(model: ZoeDepth, samples: Iterator[Sample]) -> dict[str, float]:
+def _metric(model: DepthModel, samples: Iterator[Sample]) -> dict[str, float]:
     scores = [_score(model, sample) for sample in samples]
     scored = [s.sums.metrics() for s in scores if s.sums is not None]
     numbers = {}
@@ -50,13 +50,13 @@ def _metric(model: ZoeDepth, samples: Iterator[Sample]) -> dict[str, float]:
     return numbers
 
 
-def _score(model: ZoeDepth, sample: Sample) -> Score:
+def _score(model: DepthModel, sample: Sample) -> Score:
     protocol = protocol_of(sample.domain)
     prediction, shown = predict(ModelSource(model), sample, protocol)
     return score(prediction, shown, protocol)
 
 
-def _relative(model: ZoeDepth, samples: Iterator[Sample]) -> dict[str, float]:
+def _relative(model: DepthModel, samples: Iterator[Sample]) -> dict[str, float]:
     errors = []
     predictor = Predictor(model, pad=False, upsampling="bilinear")
     for sample in samples:

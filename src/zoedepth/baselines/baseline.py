@@ -1,0 +1,59 @@
+"""A baseline behind the interface of ZoeDepth."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from zoedepth.config import BaselineConfig, Domain
+from zoedepth.heads.output import HeadOutput
+from zoedepth.model.decoder import upsample
+from zoedepth.model.interface import DepthModel, DepthOutput
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of RGB in [0, 1]."""
+
+
+class Baseline(DepthModel):
+    """A system the paper compares with. Subclasses build ``encoder`` and whatever follows, and give :meth:`predict`.
+
+    Attributes:
+        mean, std: what the encoder was trained to see subtracted from, and divided out of, RGB in [0, 1].
+        domain: its depth range.
+    """
+
+    mean: tuple[float, float, float] = IMAGENET_MEAN
+    std: tuple[float, float, float] = IMAGENET_STD
+
+    def __init__(self, config: BaselineConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.domain: Domain = config.domains[0]
+
+    def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
+        """Depth of normalised pixels, at any resolution."""
+        raise NotImplementedError  # abstract: each baseline gives its own
+
+    def forward(
+        self,
+        pixels: Float[Tensor, "batch 3 height width"],
+        *,
+        domain: Int[Tensor, " batch"] | None = None,
+        return_std: bool = False,
+        return_bins: bool = False,
+    ) -> DepthOutput:
+        """Depth of a batch, as ``ZoeDepth.forward`` gives it; there is one head."""
+        self.check(pixels, domain)
+        size = pixels.shape[-2:]
+        mean, std = (pixels.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
+        output = self.predict((pixels - mean) / std)
+        spread = output.std() if return_std else None
+        return DepthOutput(
+            upsample(output.depth, size),
+            None,
+            torch.zeros(len(pixels), dtype=torch.long, device=pixels.device),
+            None,
+            None if spread is None else upsample(spread, size),
+            upsample(output.bin_centers, size) if return_bins and output.bin_centers is not None else None,
+            upsample(output.probability, size) if return_bins and output.probability is not None else None,
+            output.supervision,
+        )

@@ -1,0 +1,43 @@
+"""LocalBins as published (Bhat et al. 2022; ``models/localbins.py``): 74 million parameters."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from zoedepth.baselines.baseline import Baseline
+from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
+from zoedepth.config import BaselineConfig, LocalBinsNetwork, SplitterConfig
+from zoedepth.heads.output import HeadOutput, Supervision
+from zoedepth.heads.probability import expected_depth
+from zoedepth.heads.splitter import BinProjectors, BinSplitters, bin_centers, draw_boxes, embed_windows, window_bins
+
+
+class LocalBins(Baseline):
+    """EfficientNet, U-Net, and bins that are split at every level of it."""
+
+    def __init__(self, config: BaselineConfig) -> None:
+        super().__init__(config)
+        network = config.network
+        assert isinstance(network, LocalBinsNetwork)
+        self.n_windows = network.n_windows
+        self.front_padding = network.front_padding
+        bins = SplitterConfig(n_seed_bins=network.n_seed_bins)
+        self.encoder = EfficientNetEncoder(network.encoder)
+        self.decoder = UNetDecoder(self.encoder.channels)
+        channels = self.decoder.channels
+        self.projectors = BinProjectors(channels, bins)
+        self.bins = BinSplitters(channels.bottleneck, bins)
+        self.probability = nn.Conv2d(channels.last, self.bins.n_bins, kernel_size=3, padding=1)
+
+    def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
+        """Depth of normalised pixels, at half their size."""
+        features = self.decoder(self.encoder(x))
+        embeddings = self.projectors(features.bottleneck, features.levels)
+        widths = self.bins(features.bottleneck, embeddings)[-1]
+        centers = bin_centers(widths, self.domain, front_padding=self.front_padding)
+        probability = self.probability(features.last).float().softmax(dim=1)
+        windows = None
+        if self.training and self.n_windows:
+            boxes = draw_boxes(features.levels[-1], stride=2, n_windows=self.n_windows)
+            maps = embed_windows(self.projectors, features.bottleneck, features.levels, boxes)
+            windows = window_bins(self.bins, boxes, maps, self.domain, front_padding=self.front_padding)
+        return HeadOutput(expected_depth(probability, centers), centers, probability, Supervision(window_bins=windows))

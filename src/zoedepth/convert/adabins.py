@@ -1,0 +1,73 @@
+"""AdaBins (shariqfarooq123/AdaBins ``AdaBins_nyu.pt``, ``AdaBins_kitti.pt``)."""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from zoedepth.config import AdaBinsNetwork, BaselineConfig
+from zoedepth.convert import shapes
+from zoedepth.convert.keys import Row, Table
+
+_LAYER, _TOKENS = "adaptive_bins_layer", "adaptive_bins_layer.patch_transformer"
+
+
+def unet_rows() -> list[Row]:
+    """Names of encoder and U-Net, those of PixelBins as well. Encoders are called as timm does it."""
+    return [
+        Row("encoder.original_model.bn2.*", None),  # what follows the map that is used
+        Row("encoder.original_model.*", "encoder.network.*"),
+        Row("decoder.conv2.*", "decoder.bottleneck.*"),
+        *(Row(f"decoder.up{i + 1}._net.*", f"decoder.levels.{i}.convs.*") for i in range(4)),
+        Row("decoder.conv3.*", "decoder.last.*"),
+    ]
+
+
+TABLE = Table([
+    *unet_rows(),
+    Row(f"{_TOKENS}.embedding_convPxP.*", "bins.tokens.embed.*"),
+    Row(f"{_TOKENS}.positional_encodings", "bins.tokens.positions"),
+    Row(f"{_TOKENS}.transformer_encoder.*", "bins.tokens.transformer.*"),
+    Row(f"{_LAYER}.conv3x3.*", "bins.features.*"),
+    Row(f"{_LAYER}.regressor.*", "bins.widths.*"),
+    Row("conv_out.0.*", "bins.probability.*"),
+    # As its ``model_io.py`` says, two were called otherwise before.
+    Row(f"{_TOKENS}.embedding_encoder.*", "bins.tokens.embed.*"),
+    Row(f"{_LAYER}.embedding_conv.*", "bins.features.*"),
+])  # fmt: skip
+
+
+def is_adabins(weights: Mapping[str, object]) -> bool:
+    """Whether these are the names of this layout."""
+    return any(name.startswith(f"{_LAYER}.") for name in unwrapped(weights))
+
+
+def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
+    """Config, weights under our names, and the table, of an AdaBins state dict.
+
+    Its depth range is in no file: it is that of NYU here (10 m); KITTI's is 80 m.
+
+    Raises:
+        InputError: unknown weights, or a missing one that the config is told by.
+    """
+    ours = TABLE.to_ours(unwrapped(weights))
+    with shapes.errors_named(TABLE):
+        return BaselineConfig(network=AdaBinsNetwork(n_bins=bins_of(ours))), ours, TABLE
+
+
+def unwrapped(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The same under the names that a model has which was not wrapped for several GPUs."""
+    return {name.removeprefix("module."): value for name, value in weights.items()}
+
+
+def bins_of(weights: Mapping[str, Tensor]) -> int:
+    """How many bins weights under our names are of.
+
+    Raises:
+        WeightError: the weight that says it is missing, or is none of a convolution.
+    """
+    name = "bins.probability.weight"
+    if name not in weights:
+        raise shapes.WeightError(name, "is missing")
+    if weights[name].ndim != 4:
+        raise shapes.WeightError(name, f"has the shape {tuple(weights[name].shape)}; 4 axes are expected")
+    return weights[name].shape[0]

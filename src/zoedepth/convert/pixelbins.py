@@ -1,0 +1,30 @@
+"""PixelBins (khalilsarwari/depth ``epoch_*_model_weights.pth``, as its training writes them)."""
+
+from collections.abc import Mapping
+
+from torch import Tensor
+
+from zoedepth.config import OUTDOOR, BaselineConfig, PixelBinsNetwork
+from zoedepth.convert import shapes
+from zoedepth.convert.adabins import bins_of, unet_rows, unwrapped
+from zoedepth.convert.keys import Row, Table
+
+TABLE = Table([*unet_rows(), Row("bins_out.0.*", "bins.widths.*"), Row("conv_out.0.*", "bins.probability.*")])
+
+
+def is_pixelbins(weights: Mapping[str, object]) -> bool:
+    """Whether these are the names of this layout."""
+    return any(name.startswith("bins_out.0.") for name in unwrapped(weights))
+
+
+def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
+    """Config, weights under our names, and the table, of a PixelBins state dict.
+
+    Its depth range is in no file; its code trains with 0.001 to 80 m everywhere, on NYU too.
+
+    Raises:
+        InputError: unknown weights, or a missing one that the config is told by.
+    """
+    ours = TABLE.to_ours(unwrapped(weights))
+    with shapes.errors_named(TABLE):
+        return BaselineConfig(network=PixelBinsNetwork(n_bins=bins_of(ours)), domains=(OUTDOOR,)), ours, TABLE

@@ -1,0 +1,82 @@
+"""What a metric head says: depth, the distribution behind it where there is one, and what its own loss needs."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from zoedepth.head_config import HeadConfig
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
+
+
+class Ordinal(NamedTuple):
+    """Of ordinal regression: whether depth lies beyond each interval (DORN)."""
+
+    logits: Float[Tensor, "batch intervals rows columns"]
+    """Of the probability that depth is beyond interval k, k = 0 being the nearest."""
+    edges: Float[Tensor, "batch edges"]
+    """Metres: where the intervals of each image's domain begin and end, one more than there are intervals."""
+
+
+class WindowBins(NamedTuple):
+    """Bins of small windows of the photo, for LocalBins' loss of local histograms."""
+
+    boxes: Float[Tensor, "batch windows 4"]
+    """Left, top, right, bottom, as fractions of the network input; smallest windows first, as many of each size."""
+    centers: tuple[Float[Tensor, "batch windows _"], ...]
+    """Metres: bin centers of each window, from the coarsest level to the finest."""
+
+
+class Supervision(NamedTuple):
+    """What the loss of a head needs beside its depth. A head gives what its own loss needs, and nothing else."""
+
+    ordinal: Ordinal | None = None
+    image_bins: Float[Tensor, "batch bins"] | None = None
+    """Metres: bin centers of the whole image (AdaBins)."""
+    window_bins: WindowBins | None = None
+
+
+class HeadOutput(NamedTuple):
+    """Metric depth, at the head's own resolution; and the distribution it is the mean of, where it is one."""
+
+    depth: Float[Tensor, "batch 1 rows columns"]
+    """Metres."""
+    bin_centers: Float[Tensor, "batch bins rows columns"] | None = None
+    """Metres."""
+    probability: Float[Tensor, "batch bins rows columns"] | None = None
+    supervision: Supervision = Supervision()
+
+    def std(self) -> Float[Tensor, "batch 1 rows columns"] | None:
+        """Metres: standard deviation of the distribution; None where the head has none."""
+        if self.bin_centers is None or self.probability is None:
+            return None
+        squares = (self.probability * (self.bin_centers - self.depth).square()).sum(dim=1, keepdim=True)
+        return squares.sqrt()
+
+
+class PassThrough(nn.Module):
+    """The shared part of heads that share nothing between domains: they look at the decoder features themselves."""
+
+    def __init__(self, channels: DecoderChannels, config: HeadConfig) -> None:
+        super().__init__()
+
+    def forward(self, features: DecoderFeatures) -> DecoderFeatures:
+        """The same."""
+        return features
+
+
+def mixed(outputs: list[HeadOutput], weight: Float[Tensor, "batch heads"]) -> HeadOutput:
+    """What several heads say of the same images, mixed: the weighted mean of their depths.
+
+    Where the heads have distributions, it is one over the bins of all of them.
+    """
+    weights = weight[:, :, None, None, None].unbind(dim=1)
+    depth = torch.stack([w * output.depth for w, output in zip(weights, outputs, strict=True)]).sum(dim=0)
+    centers = [output.bin_centers for output in outputs if output.bin_centers is not None]
+    probabilities = [
+        w * output.probability for w, output in zip(weights, outputs, strict=True) if output.probability is not None
+    ]
+    if not centers:
+        return HeadOutput(depth)
+    return HeadOutput(depth, torch.cat(centers, dim=1), torch.cat(probabilities, dim=1))
