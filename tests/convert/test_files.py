@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import HealthCheck, example, given, settings
@@ -83,6 +84,29 @@ def test_prefix_of_parallel_training_is_taken_off_where_all_names_have_it(tmp_pa
 def test_parameters_come_out_as_plain_tensors(tmp_path: Path):
     weights, _ = read_tensors(torch_file(tmp_path / "file.pt", dict(torch.nn.Linear(2, 3).named_parameters())))
     assert [(type(value), value.requires_grad) for value in weights.values()] == [(Tensor, False)] * 2
+
+
+def test_numbers_and_arrays_of_numpy_beside_the_weights_are_left_alone(tmp_path: Path):
+    """NeWCRFs keeps its best scores so. Of an array that claims any size, nothing is made."""
+    beside = {
+        "steps": np.zeros(9, dtype=np.int32),
+        "best": np.float64(0.1),
+        "names": np.array(["a", None], dtype=object),
+    }
+    torch.save({"model": WEIGHTS, "huge": _Huge(), **beside}, tmp_path / "model.ckpt")
+    weights, _ = read_tensors(tmp_path / "model.ckpt")
+    assert weights.keys() == WEIGHTS.keys()
+    torch.save({**WEIGHTS, "array": np.zeros(3)}, tmp_path / "array.pt")
+    with pytest.raises(InputError, match="'array' is a _NumpyValue"):
+        read_tensors(tmp_path / "array.pt")
+
+
+class _Huge:
+    """Pickled as an array of a thousand terabytes."""
+
+    def __reduce__(self) -> tuple:
+        reconstruct = np.zeros(1).__reduce__()[0]
+        return reconstruct, (np.ndarray, (10**15,), b"b")
 
 
 def test_few_names_for_one_memory_are_read(tmp_path: Path):

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from zoedepth.config import AdaBinsNetwork, BaselineConfig
 from zoedepth.convert import shapes
-from zoedepth.convert.keys import Row, Table
+from zoedepth.convert.keys import Row, Table, unwrapped
 
 _LAYER, _TOKENS = "adaptive_bins_layer", "adaptive_bins_layer.patch_transformer"
 
@@ -36,7 +36,7 @@ TABLE = Table([
 ])  # fmt: skip
 
 
-def is_adabins(weights: Mapping[str, object]) -> bool:
+def is_adabins(weights: Mapping[str, Tensor]) -> bool:
     """Whether these are the names of this layout."""
     return any(name.startswith(f"{_LAYER}.") for name in unwrapped(weights))
 
@@ -52,11 +52,6 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
         return BaselineConfig(network=AdaBinsNetwork(n_bins=bins_of(ours))), ours, TABLE
-
-
-def unwrapped(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The same under the names that a model has which was not wrapped for several GPUs."""
-    return {name.removeprefix("module."): value for name, value in weights.items()}
 
 
 def bins_of(weights: Mapping[str, Tensor]) -> int:

@@ -6,18 +6,16 @@ from torch import Tensor
 
 from zoedepth.baselines.bts import RATES
 from zoedepth.config import BaselineConfig, BtsNetwork
-from zoedepth.convert.keys import Row, Table
+from zoedepth.convert.keys import Row, Table, unwrapped
 from zoedepth.errors import InputError
 
-_PARALLEL = "module."
-"""Begins every name that ``DataParallel`` saved."""
 _WIDTH = "decoder.bn5.weight"
 """Its length is the width of the decoder."""
 
 
 def is_bts(weights: Mapping[str, Tensor]) -> bool:
     """Whether these are the names of BTS's weights."""
-    return any(name.removeprefix(_PARALLEL).startswith("decoder.daspp_") for name in weights)
+    return any(name.startswith("decoder.daspp_") for name in unwrapped(weights))
 
 
 def table(width: int) -> Table:
@@ -65,7 +63,7 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     Raises:
         InputError: unknown weights, or those of an encoder that is not known (BTS's MobileNet, which timm has not).
     """
-    given = {name.removeprefix(_PARALLEL): value for name, value in weights.items()}
+    given = unwrapped(weights)
     if _WIDTH not in given or given[_WIDTH].ndim != 1:
         raise InputError(f"{_WIDTH} is missing, or of no known shape")
     network = BtsNetwork(_encoder(given), width=len(given[_WIDTH]))

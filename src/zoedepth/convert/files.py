@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import Parameter
 
+from zoedepth.convert.keys import unwrapped
 from zoedepth.errors import InputError
 
 MAX_JSON_BYTES = 10_000_000
@@ -110,6 +111,26 @@ def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         raise InputError(f"{path} is not a readable safetensors file ({error})") from error
 
 
+class _NumpyValue:
+    """What stands in the place of numpy's numbers and arrays beside the weights, of which nothing is read or made."""
+
+    def __init__(self, *_: object) -> None:
+        pass
+
+    def __setstate__(self, _: object) -> None:
+        pass
+
+
+_NUMPY: list[Any] = [
+    (_NumpyValue, f"numpy.{name}")
+    for name in (
+        "ndarray", "dtype", "core.multiarray._reconstruct", "core.multiarray.scalar", "_core.multiarray._reconstruct",
+        "_core.multiarray.scalar",
+    )
+]  # fmt: skip
+"""What a file may ask for beside tensors (NeWCRFs keeps its best scores as an array) → what it gets."""
+
+
 def _read_torch(path: Path) -> dict[str, Tensor]:
     size = path.stat().st_size
     try:
@@ -121,7 +142,8 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
     if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries) or sum(e.file_size for e in entries) > size:
         raise InputError(f"{path} is a compressed archive, not a torch checkpoint")
     try:
-        with path.open("rb") as file:  # given a path, torch goes by its suffix
+        # Given a path, torch goes by its suffix.
+        with path.open("rb") as file, torch.serialization.safe_globals(_NUMPY):
             saved = torch.load(file, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise InputError(
@@ -155,9 +177,7 @@ def _tensors(saved: object, path: Path, size: int) -> dict[str, Tensor]:
         # some in honest files.
         if n_bytes > min(size, value.untyped_storage().nbytes()) or claimed > 2 * size:
             raise InputError(f"{path}: {name[:80]!r} claims to be larger than what is stored of it")
-    if all(name.startswith("module.") for name in found):  # saved from within DistributedDataParallel
-        return {name.removeprefix("module."): value for name, value in found.items()}
-    return found
+    return unwrapped(found)
 
 
 def _named(error: Exception) -> str:

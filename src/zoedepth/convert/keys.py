@@ -98,6 +98,17 @@ class Table:
         return ()
 
 
+def unwrapped(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The same under the names a model has that was not wrapped for several GPUs, where all of them say it was."""
+    if all(name.startswith(_WRAPPED) for name in weights):
+        return {name.removeprefix(_WRAPPED): value for name, value in weights.items()}
+    return dict(weights)
+
+
+_WRAPPED = "module."
+"""Begins every name that ``DataParallel`` and ``DistributedDataParallel`` save."""
+
+
 def shown(names: Sequence[str], *, limit: int = 8) -> str:
     """The first names of a list, and how many more there are."""
     more = f" and {len(names) - limit} more" if len(names) > limit else ""

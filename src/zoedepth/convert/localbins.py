@@ -6,10 +6,7 @@ from torch import Tensor
 
 from zoedepth.config import BaselineConfig, LocalBinsNetwork
 from zoedepth.convert import shapes
-from zoedepth.convert.keys import Row, Table
-
-_PREFIX = "module."
-"""Saved from within DistributedDataParallel."""
+from zoedepth.convert.keys import Row, Table, unwrapped
 
 TABLE = Table([
     Row("encoder.original_model.bn2.*", None),  # what follows the map that is used
@@ -25,9 +22,9 @@ TABLE = Table([
 ])  # fmt: skip
 
 
-def is_localbins(weights: Mapping[str, object]) -> bool:
+def is_localbins(weights: Mapping[str, Tensor]) -> bool:
     """Whether these are the names of this layout."""
-    return any(name.removeprefix(_PREFIX).startswith("decoder.seed_bin_regressor.") for name in weights)
+    return any(name.startswith("decoder.seed_bin_regressor.") for name in unwrapped(weights))
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
@@ -39,7 +36,7 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     Raises:
         InputError: unknown weights, or a missing one that the config is told by.
     """
-    ours = TABLE.to_ours({name.removeprefix(_PREFIX): value for name, value in weights.items()})
+    ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
         n_seed_bins = shapes.shape_of(ours, "bins.seed.2.weight", 4)[0]
     return BaselineConfig(network=LocalBinsNetwork(n_seed_bins=n_seed_bins, front_padding=False)), ours, TABLE

@@ -6,11 +6,8 @@ from torch import Tensor
 
 from zoedepth.config import BaselineConfig, NewCrfsNetwork
 from zoedepth.convert import shapes
-from zoedepth.convert.keys import Row, Table
+from zoedepth.convert.keys import Row, Table, unwrapped
 from zoedepth.heads.newcrfs import NATIVE_WINDOW
-
-_PREFIX = "module."
-"""Saved from within DistributedDataParallel."""
 
 _SWIN = {
     (96, 6): "swin_tiny_patch4_window7_224",
@@ -29,10 +26,7 @@ def rows() -> list[Row]:
         Row(f"{swin}.attn.relative_position_index", None),  # computed
         Row(f"{swin}.*", "encoder.stages.layers_{}.blocks.{}.*"),
         # Theirs end a stage by halving the map, timm's begin with it.
-        *(
-            Row(f"backbone.layers.{i}.downsample.*", f"encoder.stages.layers_{i + 1}.downsample.*")
-            for i in range(3)
-        ),
+        *(Row(f"backbone.layers.{i}.downsample.*", f"encoder.stages.layers_{i + 1}.downsample.*") for i in range(3)),
         Row("backbone.norm{}.*", "encoder.norms.{}.*"),
         Row("decoder.psp_modules.{}.1.conv.*", "decoder.seed.regions.{}.1.*"),
         Row("decoder.psp_modules.{}.1.gn.*", "decoder.seed.regions.{}.2.*"),
@@ -64,8 +58,7 @@ TABLE = Table(rows())
 
 def is_newcrfs(weights: Mapping[str, Tensor]) -> bool:
     """Whether these are the weights of a NeWCRFs, by their names."""
-    names = {name.removeprefix(_PREFIX) for name in weights}
-    return {"backbone.patch_embed.proj.weight", "crf3.crf_layer.blocks.0.attn.qk.weight"} <= names
+    return {"backbone.patch_embed.proj.weight", "crf3.crf_layer.blocks.0.attn.qk.weight"} <= unwrapped(weights).keys()
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
@@ -76,7 +69,7 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     Raises:
         InputError: unknown or missing weights, or an encoder that is none of Swin's with windows of 7x7.
     """
-    ours = TABLE.to_ours({name.removeprefix(_PREFIX): value for name, value in weights.items()})
+    ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
         network = _network(ours)
     return BaselineConfig(network=network), ours, TABLE
@@ -95,7 +88,9 @@ def _network(ours: Mapping[str, Tensor]) -> NewCrfsNetwork:
     sizes = [shapes.shape_of(ours, table, 2) for table in tables]
     for table, (n_rows, _) in zip(tables, sizes, strict=True):
         if n_rows != (2 * NATIVE_WINDOW - 1) ** 2:
-            raise shapes.WeightError(table, f"has {n_rows} rows, not those of windows of {NATIVE_WINDOW}x{NATIVE_WINDOW}")
+            raise shapes.WeightError(
+                table, f"has {n_rows} rows, not those of windows of {NATIVE_WINDOW}x{NATIVE_WINDOW}"
+            )
     widths = [shapes.shape_of(ours, f"decoder.levels.{i}.norm.weight", 1)[0] for i in range(4)]
     heads = [n_heads for _, n_heads in sizes[1:]]
     return NewCrfsNetwork(

@@ -6,13 +6,13 @@ from torch import Tensor
 
 from zoedepth.config import OUTDOOR, BaselineConfig, PixelBinsNetwork
 from zoedepth.convert import shapes
-from zoedepth.convert.adabins import bins_of, unet_rows, unwrapped
-from zoedepth.convert.keys import Row, Table
+from zoedepth.convert.adabins import bins_of, unet_rows
+from zoedepth.convert.keys import Row, Table, unwrapped
 
 TABLE = Table([*unet_rows(), Row("bins_out.0.*", "bins.widths.*"), Row("conv_out.0.*", "bins.probability.*")])
 
 
-def is_pixelbins(weights: Mapping[str, object]) -> bool:
+def is_pixelbins(weights: Mapping[str, Tensor]) -> bool:
     """Whether these are the names of this layout."""
     return any(name.startswith("bins_out.0.") for name in unwrapped(weights))
 

@@ -18,9 +18,7 @@ NATIVE_WINDOW, NATIVE_BLOCKS = 7, 2
 """Side of the windows and blocks of a level of NeWCRFs itself."""
 
 
-def pad_to_windows(
-    x: Float[Tensor, "batch rows columns channels"], window: int
-) -> Float[Tensor, "batch _ _ channels"]:
+def pad_to_windows(x: Float[Tensor, "batch rows columns channels"], window: int) -> Float[Tensor, "batch _ _ channels"]:
     """Zeros at the right and at the bottom, up to whole windows. Attention looks at them as at all others."""
     return F.pad(x, (0, 0, 0, -x.shape[2] % window, 0, -x.shape[1] % window))
 

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from zoedepth.config import INDOOR, BaselineConfig
+from zoedepth.config import INDOOR, BaselineConfig, LocalBinsNetwork
 from zoedepth.presets import BASELINES, ZOED_LITE
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
-SIZE = (192, 256)
-"""NYU's proportions, two fifths of its side."""
+SIZE = (160, 224)
+"""A third of NYU's sides."""
 
 
 def head() -> TrainConfig:
@@ -23,7 +23,7 @@ def head() -> TrainConfig:
         stage="metric",
         model=replace(ZOED_LITE, domains=(INDOOR,), size=SIZE),
         sources=(SourceConfig("nyu", crop="fit", rotate_degrees=2.0, color_probability=0.8),),
-        steps=200,
+        steps=100,
         batch_size=8,
         optim=OptimConfig(learning_rate=5e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
         pictures=0,
@@ -33,10 +33,12 @@ def head() -> TrainConfig:
 
 
 def baseline(name: str) -> TrainConfig:
-    """A baseline with the same encoder. DORN's sides are one more: 8 n + 1."""
+    """A baseline with the same encoder. DORN's sides are one more: 8 n + 1. LocalBins has a tenth of its windows."""
     preset = BASELINES[f"{name}-n"]
     size = (SIZE[0] + 1, SIZE[1] + 1) if name == "dorn" else SIZE
     network = replace(preset.network, encoder=ZOED_LITE.encoder.name)
+    if isinstance(network, LocalBinsNetwork):
+        network = replace(network, n_windows=20)
     return replace(head(), model=BaselineConfig(network, domains=(INDOOR,), size=size, antialias=True))
 
 

@@ -1,0 +1,202 @@
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import pytest
+import timm
+import torch
+from timm.models.swin_transformer import SwinTransformerBlock
+
+import zoedepth
+from zoedepth.baselines.newcrfs import PyramidEncoder
+from zoedepth.config import INDOOR, BaselineConfig, NewCrfsNetwork
+from zoedepth.errors import InputError
+from zoedepth.losses import silog
+from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.pretrained import load_model
+
+TINY = BaselineConfig(
+    NewCrfsNetwork("tf_efficientnet_lite0", widths=(32, 16, 8, 8), attention_heads=(4, 2, 2, 1), seed_width=16),
+    size=(64, 96),
+)
+SWIN = "swin_tiny_patch4_window7_224"
+
+
+@cache
+def _weights(config: BaselineConfig) -> dict[str, torch.Tensor]:
+    torch.manual_seed(0)
+    return build_network(config).state_dict()
+
+
+def build(config: BaselineConfig = TINY) -> DepthModel:
+    """A random model, in training mode, always of the same weights."""
+    model = build_network(config)
+    model.load_state_dict(_weights(replace(config, domains=TINY.domains)))
+    return model.train()
+
+
+def noise(size: tuple[int, int], *, n: int = 2) -> torch.Tensor:
+    return torch.rand(n, 3, *size, generator=torch.Generator().manual_seed(0))
+
+
+@cache
+def swin() -> PyramidEncoder:
+    """A random Swin-Tiny whose relative positions matter. Shared: do not change it."""
+    torch.manual_seed(0)
+    encoder = PyramidEncoder(SWIN).eval()
+    with torch.no_grad():
+        for name, p in encoder.named_parameters():
+            if name.endswith("bias_table") or p.ndim == 1:
+                p.add_(0.3 * torch.randn_like(p))
+    return encoder
+
+
+def test_it_has_the_published_number_of_parameters():
+    with torch.device("meta"):
+        model = build_network(BaselineConfig(NewCrfsNetwork()))
+    counts = {name: sum(p.numel() for p in part.parameters()) for name, part in model.named_children()}
+    assert counts == {"encoder": 194_998_164, "decoder": 75_445_560, "depth": 1_153}
+    assert sum(counts.values()) == 270_444_877
+    assert sum(counts.values()) == pytest.approx(270e6, rel=0.03)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("size", [(32, 32), (64, 96), (160, 32)])
+def test_any_size_gives_metres_up_to_the_farthest(size: tuple[int, int]):
+    output = build().eval()(noise(size), return_std=True, return_bins=True)
+    assert output.depth.shape == (2, 1, *size)
+    assert output.depth.dtype == torch.float32
+    assert ((output.depth > 0) & (output.depth < INDOOR.max_depth)).all()
+    assert output.std is output.bin_centers is output.probability is output.relative is None
+
+
+@torch.no_grad()
+def test_depth_follows_the_range():
+    far = build(replace(TINY, domains=(replace(INDOOR, max_depth=80.0),))).eval()
+    assert torch.allclose(far(noise((64, 64))).depth, 8 * build().eval()(noise((64, 64))).depth, rtol=1e-5)
+
+
+@pytest.mark.parametrize("encoder", ["tf_efficientnet_lite0", SWIN])
+def test_a_batch_trains_every_parameter(encoder: str):
+    model = build(replace(TINY, network=replace(TINY.network, encoder=encoder)))
+    depth = model(noise((64, 96), n=3)).depth
+    target = torch.linspace(1, 8, 96).expand_as(depth)
+    silog(depth, target, torch.ones_like(target, dtype=torch.bool)).backward()
+    without = [name for name, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert without == []
+    assert all(p.grad.isfinite().all() for p in model.parameters())
+
+
+@torch.no_grad()
+def test_half_precision_is_finite_and_close():
+    model, pixels = build().eval(), noise((64, 96))
+    exact = model(pixels).depth
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        depth = model(pixels).depth
+    assert depth.dtype == torch.float32
+    assert ((depth - exact).abs() / exact).mean() < 0.05
+
+
+@torch.no_grad()
+def test_images_do_not_see_each_other():
+    model, pixels = build().eval(), noise((64, 96), n=3)
+    together = model(pixels).depth
+    for i in range(3):
+        assert torch.allclose(model(pixels[i : i + 1]).depth, together[i : i + 1], atol=1e-4)
+
+
+@torch.no_grad()
+def test_it_is_saved_and_loaded(tmp_path: Path):
+    model, pixels = build().eval(), noise((64, 96))
+    zoedepth.save_model(model, tmp_path / "newcrfs.safetensors")
+    loaded = load_model(tmp_path / "newcrfs.safetensors")
+    assert loaded.config == TINY
+    assert torch.equal(loaded(pixels).depth, model(pixels).depth)
+
+
+@torch.no_grad()
+def test_a_swin_is_saved_and_loaded_with_what_it_computes_beside_its_weights(tmp_path: Path):
+    model = build(replace(TINY, network=replace(TINY.network, encoder=SWIN))).eval()
+    zoedepth.save_model(model, tmp_path / "newcrfs.safetensors")
+    pixels = noise((64, 96), n=1)
+    assert torch.equal(load_model(tmp_path / "newcrfs.safetensors")(pixels).depth, model(pixels).depth)
+
+
+# --- the encoder ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [SWIN, "tf_efficientnet_lite0", "convnext_atto"])
+def test_encoder_takes_the_weights_of_timms_network_and_can_save_memory(name: str):
+    torch.manual_seed(1)
+    encoder = PyramidEncoder(name).eval()
+    network = timm.create_model(name, pretrained=False).eval()
+    encoder.load_timm(network)
+    pixels = noise((224, 224), n=1) if name == SWIN else noise((64, 32))
+    maps = encoder(pixels)
+    assert [pixels.shape[-1] // x.shape[-1] for x in maps] == [4, 8, 16, 32] == list(encoder.strides)
+    assert [x.shape[1] for x in maps] == list(encoder.channels)
+    if name == SWIN:
+        # At its own size there is nothing to pad, and timm shifts no window that is the whole map: the same but there.
+        given = network.patch_embed(pixels)
+        for i, (stage, norm) in enumerate(zip(network.layers[:3], encoder.norms, strict=False)):
+            given = stage(given)
+            assert torch.allclose(maps[i], norm(given).permute(0, 3, 1, 2), atol=1e-4)
+    encoder.checkpoint_gradients()
+    again = encoder(pixels.requires_grad_())
+    assert torch.allclose(again[-1], maps[-1], atol=1e-5)
+    assert any(getattr(module, "grad_checkpointing", False) for module in encoder.modules())
+
+
+def test_maps_of_a_swin_are_normalised_those_of_others_as_they_are():
+    assert [tuple(norm.weight.shape) for norm in swin().norms] == [(96,), (192,), (384,), (768,)]
+    assert not list(PyramidEncoder("tf_efficientnet_lite0").norms.parameters())
+    with torch.no_grad():
+        x = swin()(noise((64, 32), n=1))[1]
+    norm = swin().norms[1]
+    x = (x.permute(0, 2, 3, 1) - norm.bias) / norm.weight
+    assert torch.allclose(x.mean(-1), torch.zeros(1, 8, 4), atol=1e-4)
+    assert torch.allclose(x.var(-1, unbiased=False), torch.ones(1, 8, 4), atol=1e-2)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("size", [(96, 160), (64, 32), (160, 224)])
+def test_opposite_borders_of_a_photo_do_not_look_at_each_other(size: tuple[int, int]):
+    """The finest map of Swin, two blocks deep: what changes is near the change, though the map is no whole windows."""
+    pixels = noise(size, n=1)
+    changed = pixels.clone()
+    changed[..., -4:, -4:] = 0  # one token
+    rows, columns = size[0] // 4, size[1] // 4
+    moved = ((swin()(changed)[0] - swin()(pixels)[0]).abs().amax(1)[0] > 1e-6).nonzero()
+    assert len(moved) > 1
+    assert (moved >= torch.tensor([rows, columns]) - 14).all()
+    expected = torch.tensor([reach(rows), reach(columns)])
+    assert torch.equal(moved.min(dim=0).values, expected)
+
+
+def reach(side: int) -> int:
+    """The first token of a row that the last one reaches by a window of 7, and then by one shifted by 3."""
+    first = (side - 1) // 7 * 7
+    return max((first - 3) // 7 * 7 + 3, 0)
+
+
+def test_every_second_block_is_shifted_at_every_stage():
+    """Where one window would hold timm's own input as well."""
+    blocks = [m for m in swin().modules() if isinstance(m, SwinTransformerBlock)]
+    assert [block.window_size for block in blocks] == 12 * [(7, 7)]
+    assert [block.shift_size for block in blocks] == 6 * [(0, 0), (3, 3)]
+
+
+def test_blocks_are_skipped_while_training_more_often_the_deeper():
+    rates = [m.drop_prob for m in PyramidEncoder(SWIN).modules() if type(m).__name__ == "DropPath"]
+    assert rates == sorted(rates)
+    assert rates[-1] == pytest.approx(0.3)
+    assert len(set(rates)) == 11  # of 12 blocks: the first is never skipped
+
+
+def test_config_refuses_what_makes_no_level():
+    with pytest.raises(InputError, match=r"network\.widths must be multiples of 4"):
+        NewCrfsNetwork(widths=(1024, 512, 256, 126))
+    with pytest.raises(InputError, match=r"network\.attention_heads must be divisors"):
+        NewCrfsNetwork(attention_heads=(32, 16, 8, 0))
+    with pytest.raises(InputError, match=r"network\.seed_width must be a multiple of 2"):
+        NewCrfsNetwork(seed_width=0)
