@@ -35,7 +35,8 @@ def load_model(name_or_path: str | Path, *, compat: Iterable[str] = ()) -> Depth
     Args:
         name_or_path: a name of :func:`available_models`; a file or folder, recognised by its content: ours, the
             original's ``ZoeD_M12_{N,K,NK}.pt``, MiDaS's ``dpt_beit_large_384.pt``, transformers' of either kind of
-            names; or a Hugging Face id, ``"Intel/zoedepth-nyu-kitti"``.
+            names, the checkpoints of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs; or a Hugging Face id,
+            ``"Intel/zoedepth-nyu-kitti"``.
         compat: behaviours of the released code to take over, see ``presets.COMPAT``.
 
     Raises:
