@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from zoedepth.config import ModelConfig
     from zoedepth.errors import InputError, ZoeDepthError
-    from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
+    from zoedepth.model.interface import DepthModel, DepthOutput
+    from zoedepth.model.zoedepth import ZoeDepth
     from zoedepth.predict import DepthMap, Predictor
     from zoedepth.pretrained import available_models, load_model, push_to_hub, save_model
 
@@ -20,6 +21,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "DepthMap",
+    "DepthModel",
     "DepthOutput",
     "InputError",
     "ModelConfig",
@@ -41,10 +43,12 @@ def __getattr__(name: str) -> object:
         from zoedepth import errors
 
         value = getattr(errors, name)
-    elif name in ("DepthOutput", "ZoeDepth"):
-        from zoedepth.model import zoedepth
+    elif name in ("DepthModel", "DepthOutput"):
+        from zoedepth.model import interface
 
-        value = getattr(zoedepth, name)
+        value = getattr(interface, name)
+    elif name == "ZoeDepth":
+        from zoedepth.model.zoedepth import ZoeDepth as value
     elif name in ("DepthMap", "Predictor"):
         from zoedepth import predict
 

@@ -12,7 +12,6 @@ from zoedepth.config import (
     BaselineConfig,
     BtsNetwork,
     DecoderConfig,
-    Domain,
     DornNetwork,
     EncoderConfig,
     LocalBinsNetwork,
@@ -97,10 +96,10 @@ def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
 
 
 def with_head(config: ModelConfig, name: str) -> ModelConfig:
-    """A config with another metric head, of the values the paper compares it with.
+    """A config with another metric head, of the values the paper compares it with; its own head keeps its values.
 
     Raises:
-        InputError: there is no such head, or the config has it already, with values of its own.
+        InputError: there is no such head.
     """
     if name not in HEAD_CONFIGS:
         raise InputError(f"there is no head {name!r}; there are {sorted(HEAD_CONFIGS)}")
@@ -162,12 +161,6 @@ PRESETS: dict[str, ModelConfig] = {
 # --- the systems the paper compares with ------------------------------------------------------------------------------
 
 
-def _baseline(
-    network: NetworkConfig, domain: Domain, *, nyu: tuple[int, int] = (480, 640), kitti: tuple[int, int] = (352, 1216)
-) -> BaselineConfig:
-    return BaselineConfig(network, domains=(domain,), size=nyu if domain is INDOOR else kitti)
-
-
 _ANY = replace(OUTDOOR, name="any")
 _NATIVE: dict[str, NetworkConfig] = {
     "bts": BtsNetwork(),
@@ -178,14 +171,16 @@ _NATIVE: dict[str, NetworkConfig] = {
 }
 
 BASELINES: dict[str, BaselineConfig] = {
-    **{f"{name}-n": _baseline(network, INDOOR) for name, network in _NATIVE.items()},
-    **{f"{name}-k": _baseline(network, OUTDOOR) for name, network in _NATIVE.items()},
+    **{f"{name}-n": BaselineConfig(network, domains=(INDOOR,)) for name, network in _NATIVE.items()},
+    **{f"{name}-k": BaselineConfig(network, domains=(OUTDOOR,), size=(352, 1216)) for name, network in _NATIVE.items()},
     # Trained on both, as in the paper's Table 2.
-    **{f"{name}-nk": _baseline(network, _ANY, kitti=(480, 640)) for name, network in _NATIVE.items()},
+    **{f"{name}-nk": BaselineConfig(network, domains=(_ANY,)) for name, network in _NATIVE.items()},
     # DORN's layer over the whole photo has one size, and its intervals fit one range.
-    "dorn-n": _baseline(DornNetwork(), INDOOR, nyu=(257, 353)),
-    "dorn-k": _baseline(DornNetwork(n_intervals=71, rates=(6, 12, 18), pooling=16), OUTDOOR, kitti=(385, 513)),
-    "dorn-nk": _baseline(DornNetwork(n_intervals=80), _ANY, kitti=(257, 353)),
+    "dorn-n": BaselineConfig(DornNetwork(), domains=(INDOOR,), size=(257, 353)),
+    "dorn-k": BaselineConfig(
+        DornNetwork(n_intervals=71, rates=(6, 12, 18), pooling=16), domains=(OUTDOOR,), size=(385, 513)
+    ),
+    "dorn-nk": BaselineConfig(DornNetwork(n_intervals=80), domains=(_ANY,), size=(257, 353)),
 }
 """Name → architecture of the baselines, as published, for NYU (n), KITTI (k) and both (nk)."""
 

@@ -33,6 +33,37 @@ def test_every_name_and_shape_is_that_of_our_model():
     assert {name: value.shape for name, value in back.items()} == {name: x.shape for name, x in theirs.items()}
 
 
+def waves(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Values for the original's names that can be written down: sines of the place in the tensor."""
+    values = {}
+    for name, x in state.items():
+        wave = torch.sin(torch.arange(x.numel(), dtype=torch.float64) ** 1.5 + len(name)).view(x.shape)
+        if x.ndim > 1:
+            wave = wave * (6 / x[0].numel()) ** 0.5
+        else:
+            wave = 1 + 0.3 * wave if name.endswith(("weight", "running_var")) else 0.2 * wave
+        values[name] = wave.to(x.dtype)
+    return values
+
+
+@torch.no_grad()
+def test_depth_is_the_originals():
+    """``bts.py`` of cleinc/bts with a DenseNet-121 and 128 channels, these weights and pixels, on a CPU."""
+    shape = BaselineConfig(BtsNetwork("densenet121", width=128))
+    config, ours, _ = bts.read(waves(theirs_of(shape)))
+    model = build_network(config).eval()
+    model.load_state_dict(ours)
+    y, x = torch.meshgrid(torch.arange(64.0), torch.arange(96.0), indexing="ij")
+    pixels = torch.stack([torch.sin(y / 7 + x / (5 + channel)) for channel in range(3)])[None]
+    expected = [
+        [0.9770, 0.4091, 0.8154, 9.2494],
+        [7.0360, 1.5175, 6.0234, 4.2131],
+        [8.2282, 0.4411, 9.9290, 3.4176],
+        [9.2422, 9.6282, 9.9828, 9.4142],
+    ]
+    assert torch.allclose(model.predict(pixels).depth[0, 0, 3::20, 5::25], torch.tensor(expected), atol=1e-3)
+
+
 def test_layers_that_lead_to_the_planes_keep_their_order():
     theirs = released("bts")
     *_, table = bts.read(theirs)

@@ -131,6 +131,25 @@ def test_scene_module_has_five_branches_of_which_one_sees_all_and_none_more_than
         assert seen == (set(range(-10, 14)) if sees_all else {-8, -6, -4, 0, 4, 6, 8})
 
 
+@torch.no_grad()
+def test_scene_module_by_hand():
+    """One pixel: every convolution is the matrix in its middle."""
+    torch.manual_seed(0)
+    full_image = torch.nn.Conv2d(3, 8, 1)
+    module = SceneModule(3, width=8, rates=(1, 2, 3), full_image=full_image).eval()
+    x = torch.randn(1, 3, 1, 1)
+
+    def apply(layer: torch.nn.Conv2d, values: torch.Tensor) -> torch.Tensor:
+        middle = layer.kernel_size[0] // 2
+        return (layer.weight[:, :, middle, middle] @ values + layer.bias).clamp(min=0)
+
+    pixel = x[0, :, 0, 0]
+    branches = [apply(layer, pixel) for layer in (full_image, *module.branches)]
+    joined = torch.cat([apply(layer, branch) for layer, branch in zip(module.projects, branches, strict=True)])
+    assert torch.allclose(module(x)[0, :, 0, 0], apply(module.mix, joined), atol=1e-6)
+    assert module.dropout.p == 0.5
+
+
 def test_new_head_starts_undecided():
     """Every logit near 0: a loss of ln 2 an interval."""
     head = build_head(replace(TINY, n_intervals=40))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar, runtime_checkable
 from typing import Protocol as Interface
 
 import numpy as np
@@ -32,6 +32,7 @@ class Prediction(NamedTuple):
     """The depth is inverse, up to an unknown scale and shift."""
 
 
+@runtime_checkable
 class Source(Interface):
     """Anything that has something to say about a photo."""
 
