@@ -339,7 +339,10 @@ def _build(kind: Any, value: Any, where: str) -> Any:
 def _chosen(kinds: list[Any], value: Any, where: str) -> Any:
     """Which of several dataclasses a JSON object is of."""
     known = {_NAMES[kind]: kind for kind in kinds}
-    name = value.get(_TYPE, next(iter(known))) if isinstance(value, dict) else None
+    if not isinstance(value, dict):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{where} must be an object with the fields of {names}, not {value!r}")
+    name = value.get(_TYPE, next(iter(known)))
     if not isinstance(name, str) or name not in known:
         raise InputError(f"{where}.{_TYPE} must be one of {list(known)}, not {name!r}")
     return known[name]

@@ -16,6 +16,7 @@ from zoedepth.data.augment import augment
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Batch, Sample
 from zoedepth.errors import InputError, TrainingError
+from zoedepth.presets import BASELINES
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.log import Log
 from zoedepth.train.loop import Run, freeze_batch_norm
@@ -123,6 +124,7 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
         (dataclasses.replace(PLAIN, color_probability=1.0), with_colors),
         (dataclasses.replace(PLAIN, crop="fit"), with_fit),
         (dataclasses.replace(PLAIN, crop="fit", max_zoom=3.0), with_zoom),
+        (dataclasses.replace(PLAIN, crop="window"), {"window": (32, 96)}),
     ]
     tested = {name for _, values in cases for name in values}
     # Fails where a new field has no case. The others are the mixture's, the reader's or the loss's; sparse has its own.
@@ -258,3 +260,17 @@ def test_data_set_read_by_a_run_is_that_of_its_train_list(make_config: MakeConfi
     folder = data["indoor"].parent
     training, _ = load_sources(make_config(), {"indoor": folder})
     assert len(training[0][1]) == len(PairDataset(folder / "train.csv"))
+
+
+def test_windows_go_with_the_network_and_with_their_batch(make_config: MakeConfig) -> None:
+    window = dataclasses.replace(PLAIN, crop="window", window=(32, 64))
+    with pytest.raises(InputError, match="multiples of 32"):
+        make_config(sources=(dataclasses.replace(window, window=(40, 64)),))
+    with pytest.raises(InputError, match="mix_by must be 'batch'"):
+        make_config(sources=(window, dataclasses.replace(window, name="other", window=(64, 64))))
+    make_config(sources=(window, dataclasses.replace(window, name="other", window=(64, 64))), mix_by="batch")
+
+
+def test_baselines_have_no_first_stage(make_config: MakeConfig) -> None:
+    with pytest.raises(InputError, match="stage 1 is for ZoeDepth"):
+        make_config("relative", model=BASELINES["bts-n"])
