@@ -51,18 +51,5 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
-        return BaselineConfig(network=AdaBinsNetwork(n_bins=bins_of(ours))), ours, TABLE
-
-
-def bins_of(weights: Mapping[str, Tensor]) -> int:
-    """How many bins weights under our names are of.
-
-    Raises:
-        WeightError: the weight that says it is missing, or is none of a convolution.
-    """
-    name = "bins.probability.weight"
-    if name not in weights:
-        raise shapes.WeightError(name, "is missing")
-    if weights[name].ndim != 4:
-        raise shapes.WeightError(name, f"has the shape {tuple(weights[name].shape)}; 4 axes are expected")
-    return weights[name].shape[0]
+        n_bins = shapes.shape_of(ours, "bins.probability.weight", 4)[0]
+    return BaselineConfig(network=AdaBinsNetwork(n_bins=n_bins)), ours, TABLE

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from zoedepth.config import OUTDOOR, BaselineConfig, PixelBinsNetwork
 from zoedepth.convert import shapes
-from zoedepth.convert.adabins import bins_of, unet_rows
+from zoedepth.convert.adabins import unet_rows
 from zoedepth.convert.keys import Row, Table, unwrapped
 
 TABLE = Table([*unet_rows(), Row("bins_out.0.*", "bins.widths.*"), Row("conv_out.0.*", "bins.probability.*")])
@@ -27,4 +27,5 @@ def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tenso
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
-        return BaselineConfig(network=PixelBinsNetwork(n_bins=bins_of(ours)), domains=(OUTDOOR,)), ours, TABLE
+        n_bins = shapes.shape_of(ours, "bins.probability.weight", 4)[0]
+    return BaselineConfig(network=PixelBinsNetwork(n_bins=n_bins), domains=(OUTDOOR,)), ours, TABLE
