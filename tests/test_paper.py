@@ -156,7 +156,9 @@ def test_released_predictor_of_q_and_t():
     t = (high - low) * (s[2] + 1e-4) / ((s[2] + 1e-4) + (s[3] + 1e-4)) + low
     n = n_bins - 1
     weights = [math.exp((stirling(n, k) + k * math.log(q) + (n - k) * math.log(1 - q)) / t) for k in range(n_bins)]
-    assert predictor(x).flatten().tolist() == pytest.approx([w / sum(weights) for w in weights], abs=1e-5)
+    assert predictor([x], torch.ones(1, 1, 1, 1)).probability.flatten().tolist() == pytest.approx(
+        [w / sum(weights) for w in weights], abs=1e-5
+    )
 
 
 def test_normed_centers_are_the_middles_of_the_bins():

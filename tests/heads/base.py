@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+import zoedepth.heads.probability
 from zoedepth.config import Domain, ModelConfig
 from zoedepth.data.sample import Batch
 from zoedepth.heads import HEADS, HeadOutput
@@ -130,8 +131,9 @@ class HeadTester:
         stride = size[0] // output.depth.shape[-2]
         assert output.depth.shape == (2, 1, size[0] // stride, size[1] // stride)
         assert output.depth.dtype == torch.float32
-        assert (output.probability is not None) == self.HAS_BINS
-        for bins in (output.bin_centers, output.probability):
+        assert (output.distribution is not None) == self.HAS_BINS
+        answer = output.answer(std=False, bins=True)
+        for bins in (answer.bin_centers, answer.probability):
             assert bins is None or (bins.shape[-2:] == output.depth.shape[-2:] and bins.dtype == torch.float32)
 
     def test_depth_is_positive_metres_inside_the_promised_range(self, head: Head):
@@ -146,18 +148,31 @@ class HeadTester:
     def test_depth_is_the_mean_of_the_bins(self, head: Head, config: Any):
         for factor in (1.0, 30.0):
             output = head(scaled(decoder_features((64, 64)), factor))
-            if output.bin_centers is None or output.probability is None:
+            if output.distribution is None:
                 assert output.std() is None
                 return
-            self.check_centers(output.bin_centers, config)
-            assert (output.probability >= 0).all()
-            total = output.probability.sum(dim=1)
+            centers, probability = output.distribution.bin_centers, output.distribution.probability
+            self.check_centers(centers, config)
+            assert (probability >= 0).all()
+            total = probability.sum(dim=1)
             assert torch.allclose(total, torch.ones_like(total), atol=1e-5)
-            expected = (output.probability.double() * output.bin_centers.double()).sum(dim=1, keepdim=True)
+            expected = (probability.double() * centers.double()).sum(dim=1, keepdim=True)
             assert torch.allclose(output.depth.double(), expected, rtol=1e-5)
             std = output.std()
             assert std is not None
             assert std.isfinite().all()
+
+    def test_bands_of_rows_give_what_the_whole_gives(self, head: Head, monkeypatch: pytest.MonkeyPatch):
+        features = decoder_features((64, 96))
+        head.eval()
+        whole = head(features)
+        monkeypatch.setattr(zoedepth.heads.probability, "_BAND", 700)
+        with torch.inference_mode():
+            banded = head(features)
+            stds = whole.std(), banded.std()
+        assert torch.allclose(banded.depth, whole.depth, rtol=1e-5)
+        if stds[0] is not None and stds[1] is not None:
+            assert torch.allclose(stds[0], stds[1], rtol=1e-3, atol=1e-3)
 
     def test_its_loss_gives_every_parameter_a_gradient(self, head: Head):
         loss_of(head(decoder_features((64, 64), batch=3)), (64, 64)).backward()
@@ -195,9 +210,10 @@ class HeadTester:
             output = head(features)
         assert output.depth.dtype == torch.float32
         assert output.depth.isfinite().all()
-        if output.probability is not None:
-            total = output.probability.sum(dim=1)
-            assert output.probability.dtype == torch.float32
+        if output.distribution is not None:
+            probability = output.distribution.probability
+            total = probability.sum(dim=1)
+            assert probability.dtype == torch.float32
             assert torch.allclose(total, torch.ones_like(total), atol=1e-4)
         assert ((output.depth - exact.depth).abs() / exact.depth).mean() < 0.05
 
@@ -249,6 +265,8 @@ class HeadTester:
 
 
 def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, HeadOutput) and isinstance(other, HeadOutput):
+        one, other = (output.answer(std=False, bins=True) for output in (one, other))
     if isinstance(one, Tensor) and isinstance(other, Tensor):
         return one.shape == other.shape and bool(torch.equal(one, other))
     if isinstance(one, tuple) and isinstance(other, tuple):

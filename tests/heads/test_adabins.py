@@ -31,8 +31,8 @@ class TestAdaBinsHead(HeadTester):
 
 def test_an_image_has_one_set_of_bins_which_its_loss_sees():
     output = build_head(TINY).eval()(scaled(decoder_features((64, 96)), 10.0))
-    assert (output.bin_centers == output.bin_centers[:, :, :1, :1]).all()
-    assert torch.equal(output.supervision.image_bins, output.bin_centers[:, :, 0, 0])
+    assert (output.distribution.bin_centers == output.distribution.bin_centers[:, :, :1, :1]).all()
+    assert torch.equal(output.supervision.image_bins, output.distribution.bin_centers[:, :, 0, 0])
     assert not torch.equal(*output.supervision.image_bins), "another image has others"
 
 

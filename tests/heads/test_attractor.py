@@ -68,7 +68,7 @@ class TestAttractorHead(HeadTester):
 
 def test_number_of_bins_and_attractors_follow_the_config():
     head = build_head(replace(TINY, n_bins=11, n_attractors=(7, 5, 3, 2)))
-    assert head(decoder_features((32, 32))).bin_centers.shape[1] == 11
+    assert head(decoder_features((32, 32))).distribution.bin_centers.shape[1] == 11
     x = torch.randn(1, 8, 2, 2)
     assert [layer(x).shape[1] for layer in head.domain.attractors] == [7, 5, 3, 2]
 
@@ -119,10 +119,12 @@ def test_single_pixel_of_a_head_by_hand():
         centers = [c + sum((a - c) / (1 + 2 * (a - c) ** 2) for a in points) / len(points) for c in centers]
         previous = here
     inputs = torch.cat([flat.last[0, :, 0, 0], flat.relative[0, :, 0, 0], previous])
-    probability = head.domain.probability(inputs[None, :, None, None]).flatten().tolist()
+    probability = (
+        head.domain.probability([inputs[None, :, None, None]], torch.ones(1, 1, 1, 1)).probability.flatten().tolist()
+    )
     depth = sum(p * c for p, c in zip(probability, centers, strict=True))
     output = head(flat)
-    assert output.bin_centers[0, :, 5, 7].tolist() == pytest.approx(centers, abs=1e-5)
+    assert output.distribution.bin_centers[0, :, 5, 7].tolist() == pytest.approx(centers, abs=1e-5)
     assert output.depth[0, 0, 5, 7].item() == pytest.approx(depth, abs=1e-5)
 
 
@@ -140,7 +142,10 @@ def test_normed_depth_spans_the_range_of_its_domain():
     far = AttractorHead(CHANNELS, NORMED, replace(DOMAIN, name="outdoor", min_depth=2.0, max_depth=77.0))
     far.load_state_dict(head.domain.state_dict())
     embeddings = head.shared(features)
-    near_centers, far_centers = head.domain(embeddings).bin_centers, far(embeddings).bin_centers
+    near_centers, far_centers = (
+        head.domain(embeddings).distribution.bin_centers,
+        far(embeddings).distribution.bin_centers,
+    )
     assert torch.allclose((near_centers - 0.5) / 7.5, (far_centers - 2.0) / 75.0, atol=1e-5)
 
 

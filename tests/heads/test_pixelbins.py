@@ -38,7 +38,7 @@ def by_hand(scores: list[float], *, exact: bool) -> list[float]:
     with torch.no_grad():
         layer.widths.weight.zero_()
         layer.widths.bias.copy_(torch.tensor(scores))
-        return layer(torch.zeros(1, 1, 2, 2)).bin_centers[0, :, 1, 0].tolist()
+        return layer(torch.zeros(1, 1, 2, 2)).distribution.bin_centers[0, :, 1, 0].tolist()
 
 
 def test_bins_begin_at_the_nearest_depth_and_end_at_the_farthest():
@@ -62,5 +62,5 @@ def test_published_widths_can_die_and_ours_cannot():
 
 
 def test_every_pixel_has_bins_of_its_own():
-    centers = build_head(TINY)(decoder_features((64, 64))).bin_centers
+    centers = build_head(TINY)(decoder_features((64, 64))).distribution.bin_centers
     assert not torch.equal(centers[:, :, 0, 0], centers[:, :, 9, 9])

@@ -50,7 +50,7 @@ def test_temperature_stays_between_its_bounds():
     """Whatever comes in: the sharpest distribution is that of the lowest t, the flattest that of the highest."""
     torch.manual_seed(0)
     predictor = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.5, max_temperature=2.0)
-    p = predictor(100 * torch.randn(50, 8, 1, 1)).flatten(1)
+    p = predictor([100 * torch.randn(50, 8, 1, 1)], torch.ones(1, 1, 1, 1)).probability.flatten(1)
     coefficients = log_binomial_coefficients(16)
     q = torch.linspace(0, 1, 1001).view(-1, 1, 1, 1)
     peak = {t: log_binomial(q, torch.full_like(q, t), coefficients).flatten(1).max(dim=1).values for t in (0.5, 2.0)}
@@ -69,7 +69,8 @@ def test_hidden_width_is_the_input_width_divided_by_the_factor(factor: int):
 
 def test_softmax_is_free_to_have_two_modes():
     torch.manual_seed(0)
-    p = Softmax(8, 16, bottleneck_factor=1)(10 * torch.randn(20, 8, 1, 1)).flatten(1)
+    predictor = Softmax(8, 16, bottleneck_factor=1)
+    p = predictor([10 * torch.randn(20, 8, 1, 1)], torch.ones(1, 1, 1, 1)).probability.flatten(1)
     assert torch.allclose(p.sum(dim=1), torch.ones(20), atol=1e-5)
     changes = p.diff(dim=1).sign().diff(dim=1).abs().gt(0).sum(dim=1)
     assert (changes > 1).any()

@@ -140,9 +140,9 @@ def test_single_pixel_of_a_head_by_hand():
     edges = [0.5 + 7.5 * sum(widths[:i]) for i in range(len(widths) + 1)]
     centers = [(edges[i] + edges[i + 1]) / 2 for i in range(len(widths))]
     inputs = torch.cat([features.last[:1, :, :1, :1], features.relative[:1, :, :1, :1], embeddings[-1]], dim=1)
-    probability = domain.probability(inputs).flatten().tolist()
+    probability = domain.probability([inputs], torch.ones(1, 1, 1, 1)).probability.flatten().tolist()
     output = head(features)
-    assert output.bin_centers[0, :, 5, 7].tolist() == pytest.approx(centers, abs=1e-5)
+    assert output.distribution.bin_centers[0, :, 5, 7].tolist() == pytest.approx(centers, abs=1e-5)
     expected = sum(p * c for p, c in zip(probability, centers, strict=True))
     assert output.depth[0, 0, 5, 7].item() == pytest.approx(expected, abs=1e-5)
 

@@ -6,8 +6,8 @@ from torch import Tensor
 
 from zoedepth.config import BaselineConfig, Domain
 from zoedepth.heads.output import HeadOutput
-from zoedepth.model.decoder import upsample
-from zoedepth.model.interface import DepthModel, DepthOutput
+from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
+from zoedepth.model.router import Routing
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 """Of RGB in [0, 1]."""
@@ -45,15 +45,6 @@ class Baseline(DepthModel):
         self.check(pixels, domain)
         size = pixels.shape[-2:]
         mean, std = (pixels.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
-        output = self.predict((pixels - mean) / std)
-        spread = output.std() if return_std else None
-        return DepthOutput(
-            upsample(output.depth, size),
-            None,
-            torch.zeros(len(pixels), dtype=torch.long, device=pixels.device),
-            None,
-            None if spread is None else upsample(spread, size),
-            upsample(output.bin_centers, size) if return_bins and output.bin_centers is not None else None,
-            upsample(output.probability, size) if return_bins and output.probability is not None else None,
-            output.supervision,
-        )
+        answer = self.predict((pixels - mean) / std).answer(std=return_std, bins=return_bins)
+        only = torch.zeros(len(pixels), dtype=torch.long, device=pixels.device)
+        return depth_output(answer, size, Routing(only, None), None)

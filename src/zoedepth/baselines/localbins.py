@@ -7,7 +7,7 @@ from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
 from zoedepth.config import BaselineConfig, LocalBinsNetwork, SplitterConfig
 from zoedepth.heads.output import HeadOutput, Supervision
-from zoedepth.heads.probability import expected_depth
+from zoedepth.heads.probability import BinDistribution
 from zoedepth.heads.splitter import BinProjectors, BinSplitters, bin_centers, draw_boxes, embed_windows, window_bins
 
 
@@ -34,10 +34,10 @@ class LocalBins(Baseline):
         embeddings = self.projectors(features.bottleneck, features.levels)
         widths = self.bins(features.bottleneck, embeddings)[-1]
         centers = bin_centers(widths, self.domain, front_padding=self.front_padding)
-        probability = self.probability(features.last).float().softmax(dim=1)
+        distribution = BinDistribution(self.probability(features.last).float(), None, None, centers)
         windows = None
         if self.training and self.n_windows:
             boxes = draw_boxes(features.levels[-1], stride=2, n_windows=self.n_windows)
             maps = embed_windows(self.projectors, features.bottleneck, features.levels, boxes)
             windows = window_bins(self.bins, boxes, maps, self.domain, front_padding=self.front_padding)
-        return HeadOutput(expected_depth(probability, centers), centers, probability, Supervision(window_bins=windows))
+        return HeadOutput(distribution.mean(), distribution, Supervision(window_bins=windows))

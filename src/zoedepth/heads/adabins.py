@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from zoedepth.config import AdaBinsConfig, Domain
 from zoedepth.heads.output import HeadOutput, Supervision
-from zoedepth.heads.probability import expected_depth
+from zoedepth.heads.probability import BinDistribution
 from zoedepth.heads.splitter import bin_centers
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
 
@@ -61,11 +61,9 @@ class ImageBins(nn.Module):
         tokens = self.tokens(x)
         queries = tokens[:, 1 : self.n_queries + 1]
         attention = torch.einsum("bqc,bchw->bqhw", queries, self.features(x))
-        probability = self.probability(attention).float().softmax(dim=1)
         centers = image_centers(self.widths(tokens[:, 0]).float(), self.domain)
-        everywhere = centers[:, :, None, None].expand_as(probability)
-        depth = expected_depth(probability, everywhere)
-        return HeadOutput(depth, everywhere, probability, Supervision(image_bins=centers))
+        distribution = BinDistribution(self.probability(attention).float(), None, None, centers[:, :, None, None])
+        return HeadOutput(distribution.mean(), distribution, Supervision(image_bins=centers))
 
 
 def image_centers(scores: Float[Tensor, "batch bins"], domain: Domain) -> Float[Tensor, "batch bins"]:

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from zoedepth.config import AttractorConfig, Domain
 from zoedepth.heads.output import HeadOutput
-from zoedepth.heads.probability import LogBinomial, Softmax, expected_depth
+from zoedepth.heads.probability import LogBinomial, Softmax
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
 
 _EPS = 1e-3
@@ -161,11 +161,9 @@ class AttractorHead(nn.Module):
             )  # fmt: skip
             previous = embedding
         centers = self._to_metres(centers)
-        size = embeddings.last.shape[-2:]
         inputs = [embeddings.last, embeddings.relative] if config.relative_input else [embeddings.last]
-        probability = self.probability(torch.cat([*inputs, upsample(previous, size)], dim=1))
-        centers = upsample(centers, size)
-        return HeadOutput(expected_depth(probability, centers), centers, probability)
+        distribution = self.probability([*inputs, previous], centers)
+        return HeadOutput(distribution.mean(), distribution)
 
     def _seed_centers(self, x: Float[Tensor, "batch bins rows columns"]) -> Float[Tensor, "batch bins rows columns"]:
         """Seed centers: metres (softplus), or fractions of the depth range (normed)."""

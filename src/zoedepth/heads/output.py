@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.head_config import HeadConfig
+from zoedepth.heads.probability import BinDistribution
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 
 
@@ -37,22 +38,34 @@ class Supervision(NamedTuple):
     window_bins: WindowBins | None = None
 
 
+class Answer(NamedTuple):
+    """What is asked of a head: a distribution, once computed, is as large as n_bins depth maps, twice."""
+
+    depth: Float[Tensor, "batch 1 rows columns"]
+    std: Float[Tensor, "batch 1 rows columns"] | None
+    bin_centers: Float[Tensor, "batch bins rows columns"] | None
+    probability: Float[Tensor, "batch bins rows columns"] | None
+    supervision: Supervision
+
+
 class HeadOutput(NamedTuple):
     """Metric depth, at the head's own resolution; and the distribution it is the mean of, where it is one."""
 
     depth: Float[Tensor, "batch 1 rows columns"]
     """Metres."""
-    bin_centers: Float[Tensor, "batch bins rows columns"] | None = None
-    """Metres."""
-    probability: Float[Tensor, "batch bins rows columns"] | None = None
+    distribution: BinDistribution | None = None
     supervision: Supervision = Supervision()
 
     def std(self) -> Float[Tensor, "batch 1 rows columns"] | None:
         """Metres: standard deviation of the distribution; None where the head has none."""
-        if self.bin_centers is None or self.probability is None:
-            return None
-        squares = (self.probability * (self.bin_centers - self.depth).square()).sum(dim=1, keepdim=True)
-        return squares.sqrt()
+        return None if self.distribution is None else self.distribution.std(self.depth)
+
+    def answer(self, *, std: bool, bins: bool) -> Answer:
+        """Depth, and what else is asked for, where the head has it."""
+        centers, probability = None, None
+        if bins and self.distribution is not None:
+            centers, probability = self.distribution.bin_centers, self.distribution.probability
+        return Answer(self.depth, self.std() if std else None, centers, probability, self.supervision)
 
 
 class PassThrough(nn.Module):
@@ -71,12 +84,15 @@ def mixed(outputs: list[HeadOutput], weight: Float[Tensor, "batch heads"]) -> He
 
     Where the heads have distributions, it is one over the bins of all of them.
     """
-    weights = weight[:, :, None, None, None].unbind(dim=1)
-    depth = torch.stack([w * output.depth for w, output in zip(weights, outputs, strict=True)]).sum(dim=0)
-    centers = [output.bin_centers for output in outputs if output.bin_centers is not None]
-    probabilities = [
-        w * output.probability for w, output in zip(weights, outputs, strict=True) if output.probability is not None
+    weights = weight.unbind(dim=1)
+    depths = [w[:, None, None, None] * output.depth for w, output in zip(weights, outputs, strict=True)]
+    parts = [
+        output.distribution.mixed(w)
+        for w, output in zip(weights, outputs, strict=True)
+        if output.distribution is not None
     ]
-    if not centers:
+    depth = torch.stack(depths).sum(dim=0)
+    if not parts:
         return HeadOutput(depth)
-    return HeadOutput(depth, torch.cat(centers, dim=1), torch.cat(probabilities, dim=1))
+    logits, centers = (torch.cat(maps, dim=1) for maps in zip(*((p.maps, p.centers) for p in parts), strict=True))
+    return HeadOutput(depth, BinDistribution(logits, None, None, centers))

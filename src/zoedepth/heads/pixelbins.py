@@ -6,7 +6,7 @@ from torch import Tensor, nn
 
 from zoedepth.config import Domain, PixelBinsConfig
 from zoedepth.heads.output import HeadOutput
-from zoedepth.heads.probability import expected_depth
+from zoedepth.heads.probability import BinDistribution
 from zoedepth.heads.splitter import bin_centers
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 
@@ -52,5 +52,5 @@ class PixelBins(nn.Module):
         widths = F.relu(scores) + _EXACT_EPS if self.exact else F.softplus(scores) + _EPS
         widths = widths / widths.sum(dim=1, keepdim=True)
         centers = bin_centers(widths, self.domain, front_padding=not self.exact)
-        probability = self.probability(x).float().softmax(dim=1)
-        return HeadOutput(expected_depth(probability, centers), centers, probability)
+        distribution = BinDistribution(self.probability(x).float(), None, None, centers)
+        return HeadOutput(distribution.mean(), distribution)

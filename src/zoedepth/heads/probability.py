@@ -1,9 +1,14 @@
 """From a distribution over bins to depth: expected depth (Eq. 1), log-binomial (Eq. 4), softmax (ablation)."""
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+
+from zoedepth.model.decoder import upsample, upsample_rows
 
 _EPS = 1e-7
 """Keeps Stirling's logarithms finite at k = 0 and k = n (released ``dist_layers.py``)."""
@@ -44,15 +49,107 @@ def log_binomial(
     Returns:
         Probabilities in float32, summing to 1 over the bins, unimodal up to Stirling's error.
     """
-    # ln(q^k (1 - q)^(n - k)) = k (ln q - ln(1 - q)) + n ln(1 - q), and the softmax does not see the last term. So the
-    # logits are a product of two columns over the bins and two maps: one pass over memory in place of five.
+    return BinDistribution(*log_binomial_terms(q, t, coefficients), None, q).probability
+
+
+def log_binomial_terms(
+    q: Float[Tensor, "batch 1 height width"],
+    t: Float[Tensor, "batch 1 height width"],
+    coefficients: Float[Tensor, " bins"],
+) -> tuple[Float[Tensor, "batch 2 height width"], Float[Tensor, "bins 2"]]:
+    """The logits of :func:`log_binomial` as a product: two maps, and two columns over the bins.
+
+    ln(q^k (1 - q)^(n - k)) = k (ln q - ln(1 - q)) + n ln(1 - q), and the softmax does not see the last term.
+    """
     q, t = q.float(), t.float()
     odds = q.clamp(1e-4, 1).log() - (1 - q).clamp(1e-4, 1).log()
-    maps = torch.cat([1 / t, odds / t], dim=1)
     k = torch.arange(len(coefficients), device=q.device, dtype=torch.float32)
-    columns = torch.stack([coefficients, k], dim=1)
-    with torch.autocast(q.device.type, enabled=False):  # the logits reach 63 ln(1e-4) / 0.02
-        return F.conv2d(maps, columns[:, :, None, None]).softmax(dim=1)
+    return torch.cat([1 / t, odds / t], dim=1), torch.stack([coefficients, k], dim=1)
+
+
+def convolved(conv: nn.Conv2d, maps: Sequence[Tensor]) -> Float[Tensor, "batch output_channels height width"]:
+    """A 1x1 convolution of maps upsampled to the size of the first and stacked.
+
+    It commutes with the interpolation: each map is convolved at its own size, and no stack is made.
+    """
+    size = maps[0].shape[-2:]
+    weights = conv.weight.split([x.shape[1] for x in maps], dim=1)
+    first, *others = (F.conv2d(x, weight) for x, weight in zip(maps, weights, strict=True))
+    out = first if conv.bias is None else first + conv.bias[:, None, None]
+    for x in others:
+        out = out + upsample(x, size)
+    return out
+
+
+class BinDistribution(NamedTuple):
+    """A distribution over bins at every pixel, kept as what it is computed from.
+
+    Probabilities and centers have as many channels as there are bins, which at the size of the photo is far more than
+    all else: what is asked of them is computed band by band of rows, each small enough for the processor's cache.
+    """
+
+    maps: Float[Tensor, "batch terms height width"]
+    weight: Float[Tensor, "bins terms"] | None
+    """The logits are weight @ maps + bias, in float32; without a weight they are the maps."""
+    bias: Float[Tensor, " bins"] | None
+    centers: Float[Tensor, "batch bins _ _"]
+    """Metres, at the size of the maps or any other: they are upsampled to it."""
+
+    @property
+    def probability(self) -> Float[Tensor, "batch bins height width"]:
+        """Sums to 1 over the bins."""
+        return self._probability(slice(None))
+
+    @property
+    def bin_centers(self) -> Float[Tensor, "batch bins height width"]:
+        """Metres."""
+        size = self.maps.shape[-2:]
+        return self._centers(slice(None)).expand(-1, -1, *size)
+
+    def mean(self) -> Float[Tensor, "batch 1 height width"]:
+        """Eq. 1: the expected depth, metres."""
+        bands = [expected_depth(self._probability(rows), self._centers(rows)) for rows in self._bands()]
+        return torch.cat(bands, dim=2)
+
+    def std(self, mean: Float[Tensor, "batch 1 height width"]) -> Float[Tensor, "batch 1 height width"]:
+        """Standard deviation around the mean, metres."""
+        bands = [
+            expected_depth(self._probability(rows), (self._centers(rows) - mean[:, :, rows]).square())
+            for rows in self._bands()
+        ]
+        return torch.cat(bands, dim=2).sqrt()
+
+    def mixed(self, weight: Float[Tensor, " batch"]) -> "BinDistribution":
+        """One part of a mixture: its probabilities sum to the weight, once it is joined with the others."""
+        logits = self._logits(slice(None)).log_softmax(dim=3) + weight.log()[:, None, None, None]
+        return BinDistribution(logits.permute(0, 3, 1, 2), None, None, self.bin_centers)
+
+    def _bands(self) -> list[slice]:
+        batch, _, height, width = self.maps.shape
+        if self.maps.device.type != "cpu" or torch.is_grad_enabled() or torch.compiler.is_compiling():
+            return [slice(0, height)]  # nothing to gain: a kernel a band, all is kept for the gradient, or fused anyway
+        rows = max(1, _BAND // (batch * width * self.centers.shape[1]))
+        return [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
+
+    def _probability(self, rows: slice) -> Float[Tensor, "batch bins rows width"]:
+        # Each pixel's bins lie side by side in memory: the only order that a softmax is fast in.
+        return self._logits(rows).softmax(dim=3).permute(0, 3, 1, 2)
+
+    def _logits(self, rows: slice) -> Float[Tensor, "batch rows width bins"]:
+        maps = self.maps[:, :, rows].permute(0, 2, 3, 1)
+        if self.weight is None:
+            return maps
+        with torch.autocast(maps.device.type, enabled=False):  # the log-binomial's reach 63 ln(1e-4) / 0.02
+            return F.linear(maps, self.weight, self.bias)
+
+    def _centers(self, rows: slice) -> Float[Tensor, "batch bins _ _"]:
+        if self.centers.shape[-2:] == (1, 1):
+            return self.centers  # the same everywhere
+        return upsample_rows(self.centers, self.maps.shape[-2:], rows)
+
+
+_BAND = 2**19
+"""Probabilities in a band: 2 MB in float32."""
 
 
 class LogBinomial(nn.Module):
@@ -74,13 +171,17 @@ class LogBinomial(nn.Module):
         """Fill what no checkpoint holds, after the module was built without memory (timm's name for it)."""
         self.coefficients.copy_(log_binomial_coefficients(len(self.coefficients)))
 
-    def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch bins height width"]:
-        """Probabilities over the bins, float32."""
-        pairs = self.mlp(x).float() + _PAIR_EPS
+    def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
+        """The distribution over bins at these centers, given maps that together have the channels.
+
+        See :func:`convolved`.
+        """
+        hidden, *others = self.mlp
+        pairs = nn.Sequential(*others)(convolved(hidden, maps)).float() + _PAIR_EPS
         q0, q1, t0, t1 = pairs.split(1, dim=1)
         q = q0 / (q0 + q1)
         t = self.min_temperature + (self.max_temperature - self.min_temperature) * t0 / (t0 + t1)
-        return log_binomial(q, t, self.coefficients)
+        return BinDistribution(*log_binomial_terms(q, t, self.coefficients), None, centers)
 
 
 class Softmax(nn.Module):
@@ -91,6 +192,11 @@ class Softmax(nn.Module):
         hidden = channels // bottleneck_factor
         self.mlp = nn.Sequential(nn.Conv2d(channels, hidden, 1), nn.GELU(), nn.Conv2d(hidden, n_bins, 1))
 
-    def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch bins height width"]:
-        """Probabilities over the bins, float32."""
-        return F.softmax(self.mlp(x).float(), dim=1)
+    def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
+        """The distribution over bins at these centers, given maps that together have the channels.
+
+        See :func:`convolved`.
+        """
+        hidden, activation, last = self.mlp
+        terms = activation(convolved(hidden, maps)).float()
+        return BinDistribution(terms, last.weight.flatten(1).float(), last.bias.float(), centers)

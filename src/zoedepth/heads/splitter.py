@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from zoedepth.config import Domain, SplitterConfig
 from zoedepth.heads.attractor import normed_centers
 from zoedepth.heads.output import HeadOutput, Supervision, WindowBins
-from zoedepth.heads.probability import LogBinomial, Softmax, expected_depth
+from zoedepth.heads.probability import LogBinomial, Softmax
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
 
 _EPS = 1e-3
@@ -228,13 +228,11 @@ class SplitterHead(nn.Module):
 
     def forward(self, features: SplitterFeatures) -> HeadOutput:
         """Depth in metres at the size of ``features.last``."""
-        size = features.last.shape[-2:]
         centers = bin_centers(self.bins(features.bottleneck, features.embeddings)[-1], self.domain)
         inputs = [features.last, features.relative] if self.relative_input else [features.last]
-        probability = self.probability(torch.cat([*inputs, upsample(features.embeddings[-1], size)], dim=1))
-        centers = upsample(centers, size)
+        distribution = self.probability([*inputs, features.embeddings[-1]], centers)
         windows = window_bins(self.bins, features.boxes, features.windows, self.domain)
-        return HeadOutput(expected_depth(probability, centers), centers, probability, Supervision(window_bins=windows))
+        return HeadOutput(distribution.mean(), distribution, Supervision(window_bins=windows))
 
 
 def _mlp(channels: int, hidden: int, output_channels: int) -> nn.Sequential:

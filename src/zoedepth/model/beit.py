@@ -78,9 +78,11 @@ class BeitNetwork(nn.Module):
         grid = (patches.shape[2], patches.shape[3])
         tokens = torch.cat([self.cls_token.expand(len(patches), -1, -1), patches.flatten(2).transpose(1, 2)], dim=1)
         index = relative_position_index(grid, device=tokens.device)
+        # One piece of memory for the biases of all blocks: writing into fresh pages takes longer than looking up.
+        reused = None if torch.is_grad_enabled() or torch.compiler.is_compiling() else []
         maps, readouts = [], []
         for number, (block, table) in enumerate(zip(self.blocks, self.position_tables, strict=True)):
-            bias = resize_position_table(table, self.native_grid, grid)[index].permute(2, 0, 1).contiguous()
+            bias = position_bias(resize_position_table(table, self.native_grid, grid), index, reused=reused)
             bias = bias.to(tokens.dtype)
             if self._checkpointing and torch.is_grad_enabled():
                 tokens = checkpoint(block, tokens, shared_rel_pos_bias=bias, use_reentrant=False)
@@ -105,6 +107,27 @@ def resize_position_table(
     distances = table[:-3].T.unflatten(1, (2 * native[0] - 1, 2 * native[1] - 1))[None]
     resized = F.interpolate(distances, size=(2 * grid[0] - 1, 2 * grid[1] - 1), mode="bilinear", align_corners=False)
     return torch.cat([resized[0].flatten(1).T, table[-3:]])
+
+
+def position_bias(
+    table: Float[Tensor, "rows heads"], index: Int[Tensor, "tokens tokens"], *, reused: list[Tensor] | None = None
+) -> Float[Tensor, "1 heads tokens tokens"]:
+    """What is added to the attention of each pair (query, key).
+
+    The first axis makes it a mask for which torch has a fused attention on the CPU; with three axes it has none.
+
+    Args:
+        table: of the grid, see ``resize_position_table``.
+        index: see ``relative_position_index``.
+        reused: keeps the memory of the last bias, which the next one overwrites; None: each has its own.
+    """
+    heads = table.shape[1]
+    if reused is None:
+        return table.T.gather(1, index.flatten().expand(heads, -1)).view(1, heads, *index.shape)
+    if not reused:
+        reused.append(table.new_empty(1, heads, *index.shape))
+    torch.gather(table.T, 1, index.flatten().expand(heads, -1), out=reused[0].view(heads, -1))
+    return reused[0]
 
 
 def relative_position_index(

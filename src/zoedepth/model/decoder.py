@@ -147,7 +147,7 @@ class ResidualUnit(nn.Module):
 
     def forward(self, x: Float[Tensor, "batch width _ _"]) -> Float[Tensor, "batch width _ _"]:
         """Same shape."""
-        return x + self.conv2(F.relu(self.conv1(F.relu(x))))
+        return x + self.conv2(F.relu(self.conv1(F.relu(x)), inplace=True))
 
 
 class RelativeHead(nn.Module):
@@ -169,10 +169,24 @@ class RelativeHead(nn.Module):
         x = self.conv1(x)
         if self.upsample:
             x = upsample(x, torch.Size([2 * x.shape[-2], 2 * x.shape[-1]]))
-        last = F.relu(self.conv2(x))
-        return last, F.relu(self.conv3(last))
+        last = F.relu(self.conv2(x), inplace=True)
+        return last, F.relu(self.conv3(last), inplace=True)
 
 
 def upsample(x: Float[Tensor, "batch channels _ _"], size: torch.Size) -> Float[Tensor, "batch channels height width"]:
     """Bilinear, ``align_corners=True``, as everywhere in the decoder and the heads; nothing at equal size."""
     return x if x.shape[-2:] == size else F.interpolate(x, size=size, mode="bilinear", align_corners=True)
+
+
+def upsample_rows(
+    x: Float[Tensor, "batch channels _ _"], size: torch.Size, rows: slice
+) -> Float[Tensor, "batch channels rows width"]:
+    """Some rows of ``upsample(x, size)``, without computing the others."""
+    n_rows, height = x.shape[2], size[0]
+    if n_rows == height or rows == slice(None) or rows == slice(0, height):
+        return upsample(x, size)[:, :, rows]
+    places = torch.arange(rows.start, rows.stop, device=x.device) * ((n_rows - 1) / max(height - 1, 1))
+    above = places.floor().long().clamp(max=n_rows - 1)
+    below = (above + 1).clamp(max=n_rows - 1)
+    band = torch.lerp(x[:, :, above], x[:, :, below], (places - above).to(x.dtype)[:, None])
+    return upsample(band, torch.Size([len(places), size[1]]))

@@ -9,8 +9,10 @@ from torch import Tensor, nn
 
 from zoedepth.config import AnyModelConfig
 from zoedepth.errors import InputError
-from zoedepth.heads.output import Supervision
+from zoedepth.heads.output import Answer, Supervision
+from zoedepth.model.decoder import upsample
 from zoedepth.model.encoder import TimmEncoder
+from zoedepth.model.router import Routing
 
 
 class DepthOutput(NamedTuple):
@@ -32,6 +34,15 @@ class DepthOutput(NamedTuple):
     """Sums to 1 over the bins; on request, of heads with a distribution."""
     supervision: Supervision = Supervision()
     """What the head's own loss needs beside depth."""
+
+
+def depth_output(
+    answer: Answer, size: torch.Size, routing: Routing, relative: Float[Tensor, "batch 1 height width"] | None
+) -> DepthOutput:
+    """What a head says, at the size of the pixels."""
+    depth, *maps = (None if x is None else upsample(x, size) for x in answer[:4])
+    assert depth is not None
+    return DepthOutput(depth, relative, routing.domain, routing.logits, *maps, answer.supervision)
 
 
 class DepthModel(nn.Module):
@@ -115,9 +126,10 @@ class DepthModel(nn.Module):
 
 
 def build_network(config: AnyModelConfig) -> DepthModel:
-    """The model of a config, with random weights, in training mode."""
+    """The model of a config, with random weights, in training mode, in the memory format that convolutions like."""
     from zoedepth.baselines import build_baseline
     from zoedepth.config import ModelConfig
     from zoedepth.model.zoedepth import ZoeDepth
 
-    return ZoeDepth(config) if isinstance(config, ModelConfig) else build_baseline(config)
+    model = ZoeDepth(config) if isinstance(config, ModelConfig) else build_baseline(config)
+    return model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -8,11 +8,11 @@ from torch import Tensor, nn
 
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.heads import HEADS, HeadOutput
-from zoedepth.heads.output import mixed
+from zoedepth.heads import HEADS
+from zoedepth.heads.output import Answer, mixed
 from zoedepth.model.decoder import Decoder, DecoderFeatures, upsample
 from zoedepth.model.encoder import Encoder
-from zoedepth.model.interface import DepthModel, DepthOutput
+from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
 from zoedepth.model.router import Routing, build_router
 
 
@@ -70,17 +70,8 @@ class ZoeDepth(DepthModel):
         size = pixels.shape[-2:]
         features = self.shared(self.relative_features(pixels))
         routing = self.router(features.bottleneck, domain)
-        output, std = self._apply_heads(features, routing, std=return_std, bins=return_bins)
-        return DepthOutput(
-            upsample(output.depth, size),
-            upsample(features.relative, size),
-            routing.domain,
-            routing.logits,
-            None if std is None else upsample(std, size),
-            None if output.bin_centers is None else upsample(output.bin_centers, size),
-            None if output.probability is None else upsample(output.probability, size),
-            output.supervision,
-        )
+        answer = self._apply_heads(features, routing, std=return_std, bins=return_bins)
+        return depth_output(answer, size, routing, upsample(features.relative, size))
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Relative depth alone, as MiDaS: inverse depth up to an unknown scale and shift, >= 0, near is large.
@@ -100,15 +91,13 @@ class ZoeDepth(DepthModel):
         """Stage 1's part of the model: encoder and decoder, with the relative depth, at the decoder's resolution."""
         return self.decoder(self.encoder(normalize(pixels)))
 
-    def _apply_heads(
-        self, features: Any, routing: Routing, *, std: bool, bins: bool
-    ) -> tuple[HeadOutput, Tensor | None]:
-        """What the heads say, each of its own images, in the order of the batch; and the standard deviations."""
+    def _apply_heads(self, features: Any, routing: Routing, *, std: bool, bins: bool) -> Answer:
+        """What the heads say, each of its own images, in the order of the batch."""
         if routing.weight is not None:
-            return _kept(mixed([head(features) for head in self.heads], routing.weight), std=std, bins=bins)
+            return mixed([head(features) for head in self.heads], routing.weight).answer(std=std, bins=bins)
         groups = [(routing.domain == index).nonzero().flatten() for index in range(len(self.heads))]
         said = [
-            _kept(head(_take(features, rows)), std=std, bins=bins)
+            head(_take(features, rows)).answer(std=std, bins=bins)
             for head, rows in zip(self.heads, groups, strict=True)
             if len(rows)
         ]
@@ -127,12 +116,6 @@ def _take(features: Any, rows: Int[Tensor, " rows"]) -> Any:
     return type(features)(*(
         x[rows] if isinstance(x, Tensor) else tuple(level[rows] for level in x) for x in features
     ))  # fmt: skip
-
-
-def _kept(output: HeadOutput, *, std: bool, bins: bool) -> tuple[HeadOutput, Tensor | None]:
-    """What was asked for: bins are as large as n_bins depth maps each, twice."""
-    spread = output.std() if std else None
-    return (output if bins else output._replace(bin_centers=None, probability=None)), spread
 
 
 Tree = TypeVar("Tree")

@@ -58,7 +58,7 @@ class Run:
         training, self.validation = load_sources(config, data)
         self.sources = [source for source, _ in training]
 
-        model = build_network(config.model).to(memory_format=torch.channels_last)
+        model = build_network(config.model)
         finished = checkpoints(out)
         started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
         if config.gradient_checkpointing:
