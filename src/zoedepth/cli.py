@@ -63,6 +63,12 @@ def _convert() -> Callable[[Sequence[str]], int]:
     return _with_options(convert)
 
 
+def _export() -> Callable[[Sequence[str]], int]:
+    from zoedepth.commands.export import export
+
+    return _with_options(export)
+
+
 def _push() -> Callable[[Sequence[str]], int]:
     from zoedepth.commands.convert import push
 
@@ -78,6 +84,7 @@ COMMANDS = {
     "data": Command("the published data sets, and whether a download is in order", _data),
     "models": Command("the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
+    "export": Command("write a model for other programs: ONNX, OpenVINO, torch.export", _export),
     "push": Command("publish a model at the Hugging Face Hub", _push),
 }
 

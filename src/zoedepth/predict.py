@@ -130,7 +130,10 @@ class Predictor:
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
-        self.device = model.device if device is None else _device(device)
+        exported = next(model.parameters(), None) is None  # and stays where its runtime is
+        if exported and str(device) not in ("None", "auto", "cpu"):
+            raise InputError(f"an exported model cannot be moved to {str(device)!r}: leave the device out")
+        self.device = model.device if device is None or exported else _device(device)
         self.model = model if self.device == model.device else copy.deepcopy(model).to(self.device)
         self.flip_average = flip_average
         self.pad = model.config.pad if pad is None else pad

@@ -208,8 +208,9 @@ def _sources(
     """Label → source, and what its scores depend on."""
     from zoedepth.data.open import open_dataset
     from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
+    from zoedepth.export import open_model
     from zoedepth.predict import Predictor
-    from zoedepth.pretrained import find, load_model
+    from zoedepth.pretrained import find
 
     found: dict[str, tuple[Source, dict[str, object]]] = {}
 
@@ -223,7 +224,7 @@ def _sources(
     for entry in models:
         label, equals, value = entry.partition("=")
         value = value if equals else label
-        network = load_model(value, compat=compat)
+        network = open_model(value, compat=compat)
         network = Predictor(network, device=device).model
         add(label, ModelSource(network), {"weights": _fingerprint(find(value)), "compat": list(compat)})
     for label, folder in named_paths(tuple(predictions)).items():

@@ -65,7 +65,8 @@ def predict(
     Args:
         sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg").
         out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo.
-        model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
+        model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
+            `zoedepth export`.
         preview: write the colour preview, the photo beside its depth with a bar in metres.
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
         pad: reflect the borders outwards before the network, against artefacts at the border: as the model was made
@@ -96,10 +97,10 @@ def predict(
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
 
+    from zoedepth.export import open_model
     from zoedepth.predict import Predictor
-    from zoedepth.pretrained import load_model
 
-    network = load_model(model, compat=compat)
+    network = open_model(model, compat=compat, precision=precision)
     relative = relative or not network.config.domains
     if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
         raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")

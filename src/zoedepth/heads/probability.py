@@ -1,7 +1,7 @@
 """From a distribution over bins to depth: expected depth (Eq. 1), log-binomial (Eq. 4), softmax (ablation)."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -49,7 +49,8 @@ def log_binomial(
     Returns:
         Probabilities in float32, summing to 1 over the bins, unimodal up to Stirling's error.
     """
-    return BinDistribution(*log_binomial_terms(q, t, coefficients), None, q).probability
+    maps, weight = log_binomial_terms(q, t, coefficients)
+    return BinDistribution(maps, weight, None, centers=q).probability
 
 
 def log_binomial_terms(
@@ -127,7 +128,7 @@ class BinDistribution(NamedTuple):
     def _bands(self) -> list[slice]:
         batch, _, height, width = self.maps.shape
         if self.maps.device.type != "cpu" or torch.is_grad_enabled() or torch.compiler.is_compiling():
-            return [slice(0, height)]  # nothing to gain: a kernel a band, all is kept for the gradient, or fused anyway
+            return [slice(None)]  # nothing to gain: a kernel a band, all is kept for the gradient, or fused anyway
         rows = max(1, _BAND // (batch * width * self.centers.shape[1]))
         return [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
 
@@ -176,12 +177,12 @@ class LogBinomial(nn.Module):
 
         See :func:`convolved`.
         """
-        hidden, *others = self.mlp
-        pairs = nn.Sequential(*others)(convolved(hidden, maps)).float() + _PAIR_EPS
+        pairs = self.mlp[1:](convolved(self.mlp[0], maps)).float() + _PAIR_EPS  # type: ignore[arg-type]
         q0, q1, t0, t1 = pairs.split(1, dim=1)
         q = q0 / (q0 + q1)
         t = self.min_temperature + (self.max_temperature - self.min_temperature) * t0 / (t0 + t1)
-        return BinDistribution(*log_binomial_terms(q, t, self.coefficients), None, centers)
+        terms, weight = log_binomial_terms(q, t, self.coefficients)
+        return BinDistribution(terms, weight, None, centers)
 
 
 class Softmax(nn.Module):
@@ -197,6 +198,6 @@ class Softmax(nn.Module):
 
         See :func:`convolved`.
         """
-        hidden, activation, last = self.mlp
-        terms = activation(convolved(hidden, maps)).float()
+        last: Any = self.mlp[2]
+        terms = self.mlp[1](convolved(self.mlp[0], maps)).float()  # type: ignore[arg-type]
         return BinDistribution(terms, last.weight.flatten(1).float(), last.bias.float(), centers)

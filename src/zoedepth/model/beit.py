@@ -76,7 +76,7 @@ class BeitNetwork(nn.Module):
         """Four maps at stride 16 and their class tokens, fine to coarse in meaning. No final norm is applied."""
         patches = self.patch_embed(pixels)
         grid = (patches.shape[2], patches.shape[3])
-        tokens = torch.cat([self.cls_token.expand(len(patches), -1, -1), patches.flatten(2).transpose(1, 2)], dim=1)
+        tokens = torch.cat([self.cls_token.expand(patches.shape[0], -1, -1), patches.flatten(2).transpose(1, 2)], dim=1)
         index = relative_position_index(grid, device=tokens.device)
         # One piece of memory for the biases of all blocks: writing into fresh pages takes longer than looking up.
         reused = None if torch.is_grad_enabled() or torch.compiler.is_compiling() else []
@@ -89,7 +89,7 @@ class BeitNetwork(nn.Module):
             else:
                 tokens = block(tokens, shared_rel_pos_bias=bias)
             if number in self.taps:
-                maps.append(tokens[:, 1:].transpose(1, 2).unflatten(2, grid))
+                maps.append(tokens[:, 1:].transpose(1, 2).reshape(patches.shape))
                 readouts.append(tokens[:, 0])
         return maps, readouts
 

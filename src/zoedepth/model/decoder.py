@@ -112,7 +112,7 @@ class Reassemble(nn.Module):
         tokens = x.flatten(2).transpose(1, 2)
         tokens = torch.cat([tokens, readout[:, None].expand_as(tokens)], dim=2)
         tokens = F.gelu(self.readout(tokens))
-        return self.resample(self.project(tokens.transpose(1, 2).unflatten(2, x.shape[-2:])))
+        return self.resample(self.project(tokens.transpose(1, 2).reshape(x.shape)))
 
 
 class Fusion(nn.Module):
@@ -183,8 +183,8 @@ def upsample_rows(
 ) -> Float[Tensor, "batch channels rows width"]:
     """Some rows of ``upsample(x, size)``, without computing the others."""
     n_rows, height = x.shape[2], size[0]
-    if n_rows == height or rows == slice(None) or rows == slice(0, height):
-        return upsample(x, size)[:, :, rows]
+    if rows == slice(None):
+        return upsample(x, size)
     places = torch.arange(rows.start, rows.stop, device=x.device) * ((n_rows - 1) / max(height - 1, 1))
     above = places.floor().long().clamp(max=n_rows - 1)
     below = (above + 1).clamp(max=n_rows - 1)

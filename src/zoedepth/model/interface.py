@@ -40,9 +40,9 @@ def depth_output(
     answer: Answer, size: torch.Size, routing: Routing, relative: Float[Tensor, "batch 1 height width"] | None
 ) -> DepthOutput:
     """What a head says, at the size of the pixels."""
-    depth, *maps = (None if x is None else upsample(x, size) for x in answer[:4])
-    assert depth is not None
-    return DepthOutput(depth, relative, routing.domain, routing.logits, *maps, answer.supervision)
+    std, centers, probability = (None if x is None else upsample(x, size) for x in answer[1:4])
+    depth = upsample(answer.depth, size)
+    return DepthOutput(depth, relative, routing.domain, routing.logits, std, centers, probability, answer.supervision)
 
 
 class DepthModel(nn.Module):

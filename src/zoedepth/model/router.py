@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
@@ -109,7 +110,7 @@ class TransformerClassifier(nn.Module):
     def forward(self, bottleneck: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch domains"]:
         """Scores of the domains."""
         tokens = self.project(bottleneck).flatten(2).transpose(1, 2)
-        tokens = torch.cat([torch.zeros_like(tokens[:, :1]), tokens], dim=1)  # the class token is not learned
+        tokens = F.pad(tokens, (0, 0, 1, 0))  # a class token of zeros, which is not learned
         tokens = tokens + positional_code(tokens.shape[1], tokens.shape[2], device=tokens.device)
         return self.mlp(self.transformer(tokens)[:, 0])
 

@@ -1,0 +1,173 @@
+"""Running an exported file behind the interface of every model, so that ``Predictor`` takes it like any other."""
+
+import json
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from zoedepth.config import AnyModelConfig, model_config_from_dict
+from zoedepth.convert.files import parse_json
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.export.wrapper import INPUT, Exported, chosen
+from zoedepth.model.interface import DepthModel, DepthOutput
+from zoedepth.pretrained import load_model
+
+METADATA = "zoedepth"
+"""Key of the JSON in the file's metadata: config, preprocessing, version."""
+Precision = Literal["float32", "bfloat16"]
+
+
+class ExportedModel(DepthModel):
+    """A file of another runtime. It runs on the CPU, cannot be trained, and has no relative depth."""
+
+    def __init__(self, metadata: str | None, path: Path) -> None:
+        super().__init__()
+        self.config = _config(metadata, path)
+        self.eval()
+
+    @property
+    def device(self) -> torch.device:
+        """Pixels and depth are on the CPU, wherever the runtime computes."""
+        return torch.device("cpu")
+
+    @abstractmethod
+    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Outputs by name."""
+
+    def forward(
+        self,
+        pixels: Float[Tensor, "batch 3 height width"],
+        *,
+        domain: Int[Tensor, " batch"] | None = None,
+        return_std: bool = False,
+        return_bins: bool = False,
+    ) -> DepthOutput:
+        """Depth of a batch, as ``DepthModel.forward``; what is not asked for comes at no cost.
+
+        Raises:
+            InputError: wrong shape or size, or bins are asked for, which no exported file gives.
+        """
+        if return_bins:
+            raise InputError("an exported model gives no bins: use the model it was made from")
+        self.check(pixels, domain)
+        found = {name: torch.from_numpy(x) for name, x in self.run(pixels.float().contiguous().numpy()).items()}
+        said = Exported(*(found.get(name) for name in Exported._fields))  # type: ignore[arg-type]  # depth is there
+        std, logits = said.std, said.domain_logits
+        if said.domain_depth is None or logits is None:
+            only = torch.zeros(len(pixels), dtype=torch.long)
+            return DepthOutput(said.predicted_depth[:, None], None, only, None, std, None, None)
+        taken = logits.argmax(dim=1) if domain is None else domain.long()
+        depth = said.predicted_depth if domain is None else chosen(said.domain_depth, taken)
+        std = None if std is None else chosen(std, taken)[:, None]
+        return DepthOutput(depth[:, None], None, taken, logits, std, None, None)
+
+
+class OnnxModel(ExportedModel):
+    """An ONNX file in ONNX Runtime: CUDA where its GPU package is installed (not run), else the CPU."""
+
+    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+        try:
+            import onnxruntime
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("onnx", "running an ONNX file") from error
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads or torch.get_num_threads()
+        wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
+        providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
+        try:
+            self.session = onnxruntime.InferenceSession(str(path), options, providers=providers)
+        except Exception as error:  # its errors share no class
+            raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}") from error
+        self.names = [output.name for output in self.session.get_outputs()]
+        super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
+
+    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Outputs by name."""
+        return dict(zip(self.names, self.session.run(self.names, {INPUT: pixels}), strict=True))  # type: ignore[arg-type]
+
+
+class OpenVinoModel(ExportedModel):
+    """An OpenVINO file, compiled for this processor."""
+
+    def __init__(self, path: Path, *, precision: Precision = "float32", threads: int | None = None) -> None:
+        try:
+            import openvino
+        except ModuleNotFoundError as error:
+            raise MissingExtraError("openvino", "running an OpenVINO file") from error
+        properties = {
+            "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
+            "INFERENCE_NUM_THREADS": threads or torch.get_num_threads(),
+            "PERFORMANCE_HINT": "LATENCY",
+        }
+        try:
+            read = openvino.Core().read_model(path)
+            metadata = read.get_rt_info(METADATA).astype(str) if read.has_rt_info(METADATA) else None
+            self.compiled = openvino.Core().compile_model(read, "CPU", properties)
+        except Exception as error:  # a RuntimeError of C++, mostly
+            raise InputError(f"{path} cannot be read as OpenVINO: {str(error)[:300]}") from error
+        super().__init__(metadata, path)
+
+    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Outputs by name. A request of its own: threads may share the model."""
+        results: Any = self.compiled.create_infer_request().infer({INPUT: pixels})
+        return {output.get_any_name(): np.array(results[output]) for output in self.compiled.outputs}
+
+
+_SUFFIXES = (".onnx", ".xml")
+
+
+def is_exported(name_or_path: str | Path) -> bool:
+    """Whether :func:`load_exported` takes it, by its suffix."""
+    return Path(name_or_path).suffix.lower() in _SUFFIXES
+
+
+def load_exported(path: str | Path, *, precision: Precision = "float32", threads: int | None = None) -> ExportedModel:
+    """A file that ``zoedepth export`` wrote, for ``Predictor``.
+
+    Files hold no code: both runtimes read a graph of their own known operations.
+
+    Args:
+        path: .onnx, or OpenVINO's .xml with its .bin beside it.
+        precision: that OpenVINO computes in; ONNX Runtime always computes in the file's.
+        threads: None: as many as torch uses.
+
+    Raises:
+        InputError: no such file, not one of these, or not made by ``zoedepth export``.
+        MissingExtraError: the runtime is not installed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    if path.suffix.lower() == ".onnx":
+        return OnnxModel(path, threads=threads)
+    if path.suffix.lower() == ".xml":
+        return OpenVinoModel(path, precision=precision, threads=threads)
+    raise InputError(f"{path} is not an exported model that runs here: give a .onnx or .xml file")
+
+
+def open_model(name_or_path: str | Path, *, compat: Iterable[str] = (), precision: Precision = "float32") -> DepthModel:
+    """An exported file, or whatever ``load_model`` takes.
+
+    Raises:
+        InputError: see there; or behaviours are chosen for an exported file, which has its own.
+    """
+    if not is_exported(name_or_path):
+        return load_model(name_or_path, compat=compat)
+    if tuple(compat):
+        raise InputError("an exported model has its behaviours built in: give --compat to zoedepth export")
+    return load_exported(name_or_path, precision=precision)
+
+
+def _config(metadata: str | None, path: Path) -> AnyModelConfig:
+    if metadata is None:
+        raise InputError(f"{path} does not say its configuration: it was not made by zoedepth export")
+    try:
+        return model_config_from_dict(parse_json(metadata)["config"])
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise InputError(f"the configuration in {path} cannot be read: {error}") from error

@@ -1,0 +1,258 @@
+"""Writing a model for other programs, and proving that they get the same depth."""
+
+import json
+import math
+import shutil
+import tempfile
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from zoedepth import __version__
+from zoedepth.config import ModelConfig, to_dict
+from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
+from zoedepth.export.exported import METADATA, load_exported
+from zoedepth.export.wrapper import INPUT, Exported, ExportModel
+from zoedepth.images import read_image
+from zoedepth.model.interface import DepthModel
+from zoedepth.predict import resize_pixels
+from zoedepth.sizes import network_size
+
+Format = Literal["onnx", "openvino", "torch-export"]
+SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "openvino": ".xml", "torch-export": ".pt2"}
+OPSET = 18
+TOLERANCE, TOLERANCE_INT8 = 1e-4, 0.05
+"""Largest median of |exported - torch| / torch of any output in metres, at any size."""
+
+
+class ExportError(ZoeDepthError):
+    """What was written does not give what torch gives."""
+
+
+def export_model(
+    model: DepthModel,
+    path: str | Path,
+    *,
+    to: Format,
+    int8: bool = False,
+    photos: Sequence[str | Path] = (),
+    size: tuple[int, int] | None = None,
+) -> float:
+    """Write a model for another program, run what was written, and keep it only if its depth is that of torch.
+
+    Input ``pixel_values`` and outputs are those of ``wrapper.Exported``. Batch, height and width are free; of
+    torch-export and of encoders with one size only the batch is. Config, preprocessing and version are in the metadata.
+
+    Args:
+        model: in evaluation mode.
+        path: file to write, with the suffix of the format; OpenVINO's weights go to a .bin beside it.
+        to: onnx, openvino or torch-export.
+        int8: products of encoder and decoder in 8-bit integers (OpenVINO); heads and router stay in float32.
+        photos: that int8 is calibrated on; a few hundred of the kind it will see.
+        size: (height, width) of a torch-export; None: the model's.
+
+    Returns:
+        The largest median relative difference of the check.
+
+    Raises:
+        InputError: see ``ExportModel``; a wrong suffix or size; int8 without photos or in another format.
+        ExportError: the exported depth differs; nothing is left behind.
+        MissingExtraError: the format's library is not installed.
+    """
+    path = Path(path)
+    if path.suffix != SUFFIXES[to]:
+        raise InputError(f"a file of {to} ends with {SUFFIXES[to]}: got {path.name}")
+    if int8 and (to != "openvino" or not photos):
+        raise InputError("int8 is written for openvino only, and needs photos to calibrate on")
+    if model.training:
+        raise InputError("the model is in training mode: call model.eval() first")
+    config = model.config
+    if size is not None and any(side < 1 or side % config.multiple for side in size):
+        raise InputError(f"the sides of a network input are multiples of {config.multiple}: got {size}")
+    if config.one_size and size not in (None, config.size):
+        raise InputError(f"{config.encoder_name} takes pixels of {config.size} only")
+    if model.device.type != "cpu":
+        raise InputError("the model is on another device: export a copy on the CPU, which the check runs on")
+    wrapped = ExportModel(model).eval()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export-") as name:
+        part = Path(name) / path.name
+        if to == "torch-export":
+            _write_program(wrapped, part, size or config.size)
+            difference = _check_program(wrapped, part, size or config.size)
+        else:
+            graph = part.with_suffix(".onnx")
+            _write_onnx(wrapped, graph)
+            if to == "openvino":
+                _write_openvino(model, graph, part, photos if int8 else ())
+                graph.unlink()
+            difference = _check(model, part, tolerance=TOLERANCE_INT8 if int8 else TOLERANCE)
+        for file in sorted(part.parent.iterdir()):  # .bin before .xml
+            shutil.move(file, path.parent / file.name)
+    return difference
+
+
+def metadata(model: DepthModel) -> str:
+    """What a program must know to prepare photos and read the depth, as JSON."""
+    config = model.config
+    return json.dumps({
+        "config": to_dict(config),
+        "preprocessing": {
+            "input": f"{INPUT}: float32 (batch, 3, height, width), RGB / 255, normalised inside",
+            "size": config.size,
+            "multiple": config.multiple,
+            "resize": "keep-aspect" if config.keep_aspect_ratio else "squeeze",
+            "interpolation": "bilinear, antialias" if config.antialias else "bilinear, align_corners",
+            "pad": "reflect by 3 sqrt(side / 2), cut off after" if config.pad else "none",
+        },
+        "postprocessing": "resize predicted_depth to the photo: bicubic; mean with the mirrored photo's, mirrored back",
+        "unit": "metre",
+        "domains": [domain.name for domain in config.domains],
+        "zoedepth": __version__,
+    })  # fmt: skip
+
+
+def _names(wrapped: ExportModel, pixels: Tensor) -> list[str]:
+    return [name for name, x in zip(Exported._fields, wrapped.outputs(pixels), strict=True) if x is not None]
+
+
+def _write_onnx(wrapped: ExportModel, path: Path) -> None:
+    try:
+        import onnx
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("onnx", "export") from error
+    config = wrapped.model.config
+    # Any size but the one the position tables fit, where nothing would be resized.
+    size = config.size if config.one_size else (3 * config.multiple, 4 * config.multiple)
+    if size == config.size and not config.one_size:
+        size = (size[0], size[1] + config.multiple)
+    pixels = torch.rand(2, 3, *size)
+    names = _names(wrapped, pixels)
+    axes = {
+        INPUT: {0: "batch", 2: "height", 3: "width"},
+        "predicted_depth": {0: "batch", 1: "height", 2: "width"},
+        "domain_logits": {0: "batch"},
+    }
+    for name in names:
+        axes.setdefault(name, {0: "batch", 2: "height", 3: "width"})
+    if config.one_size:
+        axes = {name: {0: "batch"} for name in axes}
+    # By tracing: with free sizes torch.export takes minutes (docs/log.md). With gradients, because what is computed in
+    # pieces without them would be traced piece by piece.
+    with warnings.catch_warnings(), torch.enable_grad():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            wrapped, (pixels,), path, input_names=[INPUT], output_names=names,
+            dynamic_axes=axes, opset_version=OPSET, dynamo=False,
+        )  # fmt: skip
+    graph = onnx.load(path)
+    entry = graph.metadata_props.add()
+    entry.key, entry.value = METADATA, metadata(wrapped.model)
+    onnx.save(graph, path)
+
+
+def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence[str | Path]) -> None:
+    try:
+        import openvino
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("openvino", "export to openvino") from error
+    converted = openvino.convert_model(graph)
+    if photos:
+        converted = _quantized(model, converted, photos)
+    converted.set_rt_info(metadata(model), METADATA)
+    openvino.save_model(converted, path, compress_to_fp16=False)
+
+
+def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -> Any:
+    try:
+        import nncf
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("openvino", "int8") from error
+    config = model.config
+    transformer = isinstance(config, ModelConfig) and config.encoder.family != "convolutional"
+    inputs = [_prepared(model, photo) for photo in photos]
+    return nncf.quantize(
+        converted,
+        nncf.Dataset(inputs),
+        subset_size=len(inputs),
+        preset=nncf.QuantizationPreset.MIXED,
+        model_type=nncf.ModelType.TRANSFORMER if transformer else None,
+        ignored_scope=nncf.IgnoredScope(patterns=[".*heads.*", ".*router.*"], validate=False),
+    )
+
+
+def _prepared(model: DepthModel, photo: str | Path) -> Any:
+    config, image = model.config, read_image(photo)
+    size = network_size(
+        image.shape[:2], config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio
+    )
+    pixels = torch.tensor(image).permute(2, 0, 1)[None].float() / 255
+    return resize_pixels(pixels, size, antialias=config.antialias).contiguous().numpy()
+
+
+def _write_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> None:
+    shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},)
+    with torch.enable_grad():
+        program = torch.export.export(wrapped, (torch.rand(2, 3, *size),), dynamic_shapes=shapes, strict=False)
+    torch.export.save(program, path, extra_files={METADATA: metadata(wrapped.model)})
+
+
+@torch.no_grad()
+def _check_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> float:
+    run = torch.export.load(path).module()
+    worst = 0.0
+    for batch in (1, 2):
+        pixels = _pixels(batch, size)
+        for found, expected in zip(run(pixels), wrapped(pixels), strict=True):
+            worst = max(worst, _difference(found, expected))
+    return _within(worst, TOLERANCE, path)
+
+
+@torch.no_grad()
+def _check(model: DepthModel, path: Path, *, tolerance: float) -> float:
+    """Compare with torch at three sizes, where there are any; one image, and two of which each takes another head."""
+    exported, config = load_exported(path), model.config
+    multiple = config.multiple
+    others = [(4 * multiple, 3 * multiple), (2 * multiple, 5 * multiple)]
+    sizes = [config.size] if config.one_size else [config.size, *others]
+    n_domains, worst = len(config.domains), 0.0
+    for size in sizes:
+        for batch in (1, 2):
+            pixels = _pixels(batch, size)
+            for domain in (None, torch.arange(batch) % n_domains, (torch.arange(batch) + 1) % n_domains):
+                found = exported(pixels, domain=domain, return_std=True)
+                expected = model(pixels, domain=found.domain, return_std=True)
+                worst = max(worst, _difference(found.depth, expected.depth))
+                if domain is None and tolerance == TOLERANCE and expected.domain_logits is not None:
+                    _within(_difference(found.domain_logits, expected.domain_logits), 100 * tolerance, path)
+                if expected.std is not None and tolerance == TOLERANCE:
+                    worst = max(worst, _difference(found.std, expected.std))
+    return _within(worst, tolerance, path)
+
+
+def _pixels(batch: int, size: tuple[int, int]) -> Tensor:
+    """Smooth colours: noise alone has the same depth everywhere."""
+    generator = torch.Generator().manual_seed(batch + size[0])
+    coarse = torch.rand(batch, 3, 4, 5, generator=generator)
+    noise = 0.1 * torch.rand(batch, 3, *size, generator=generator)
+    return (0.9 * resize_pixels(coarse, size, antialias=False) + noise).clamp(0, 1)
+
+
+def _difference(found: Tensor | None, expected: Tensor | None) -> float:
+    if found is None or expected is None or found.shape != expected.shape:
+        return math.inf
+    difference = (found - expected).abs() / expected.abs().clamp(min=1e-6)
+    return float(difference.median()) if bool(found.isfinite().all()) else math.inf
+
+
+def _within(difference: float, tolerance: float, path: Path) -> float:
+    if difference > tolerance:
+        raise ExportError(
+            f"{path.name} gives other depth than torch: a median relative difference of {difference:.2g}, "
+            f"where {tolerance:.2g} is allowed. It was not kept"
+        )
+    return difference
