@@ -143,7 +143,8 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
     text.add_text(_UNIT_KEY, "metre")
     text.add_text("Description", f"depth along the optical axis in metres = value / {scale:.10g}; 0 = no depth")
     with atomic_path(path) as temporary:
-        Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text)
+        # Level 1 of zlib takes a quarter of the time of Pillow's 6, for a file a quarter larger.
+        Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text, compress_level=1)
 
 
 def write_relative_png(path: str | Path, relative: np.ndarray) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from zoedepth.cli import main
@@ -239,6 +240,22 @@ class TestExitCodes:
         assert predict((str(write_photo(tmp_path / "photo.jpg")),), out=tmp_path / "out") == 1
         assert "RuntimeError: out of memory" in capsys.readouterr().err
 
+    def test_several_workers_write_what_one_writes(self, tmp_path: Path) -> None:
+        photos = [str(write_photo(tmp_path / f"{seed}.png", seed=seed)) for seed in range(7)]
+        photos.insert(3, str(tmp_path / "broken.png"))
+        (tmp_path / "broken.png").write_bytes(b"no picture")
+        threads = torch.get_num_threads()
+        for workers in (1, 3):
+            assert predict(tuple(photos), out=tmp_path / str(workers), workers=workers) == 1
+        assert torch.get_num_threads() == threads
+        assert names(tmp_path / "1") == names(tmp_path / "3")
+        assert len(names(tmp_path / "1")) == 21
+        for seed in range(7):
+            one, three = (read_depth(tmp_path / folder / f"{seed}_depth.png") for folder in ("1", "3"))
+            np.testing.assert_allclose(one, three, atol=1.1e-3)
+        with pytest.raises(InputError, match="--workers"):
+            predict(tuple(photos), out=tmp_path / "out", workers=-1)
+
     def test_interrupted(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -253,7 +270,7 @@ class TestExitCodes:
 
         monkeypatch.setattr(Predictor, "__call__", interrupt)
         photos = tuple(str(write_photo(tmp_path / f"{index}.jpg")) for index in range(3))
-        assert predict(photos, out=tmp_path / "out", flip=False, preview=False) == 130
+        assert predict(photos, out=tmp_path / "out", flip=False, preview=False, workers=1) == 130
         assert "Interrupted: 1 of 3 photos written" in capsys.readouterr().err
         assert names(tmp_path / "out") == {"0_depth.png", "0.json"}
 

@@ -6,9 +6,11 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
+from threading import Lock
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
@@ -56,6 +58,7 @@ def predict(
     colormap: str = "magma_r",
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
+    workers: int = 0,
 ) -> int:
     """Depth in metres of photos: a 16-bit PNG, a colour preview and a JSON sidecar of each.
 
@@ -81,10 +84,14 @@ def predict(
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
         device: cpu, cuda, mps, or auto for the best there is.
         precision: bfloat16 is faster on hardware made for it.
+        workers: photos computed at the same time, each from file to files; 0: as many as there are cores. Each needs
+            memory of its own: 1 for large models where there is little.
     """
     console = Console(stderr=True, highlight=False)
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file: give a folder")
+    if workers < 0:
+        raise InputError(f"--workers must be 0 or more, got {workers}")
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
     if png_scale is not None and not 0 < png_scale < float("inf"):
         raise InputError(f"--png-scale is levels per metre and must be positive, got {png_scale}")
@@ -97,19 +104,29 @@ def predict(
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
 
+    import torch
+
     from zoedepth.export import open_model
     from zoedepth.predict import Predictor
 
-    network = open_model(model, compat=compat, precision=precision)
-    relative = relative or not network.config.domains
-    if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
-        raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")
-    padded = None if pad == "model" else pad == "yes"
-    predictor = Predictor(network, flip_average=flip, pad=padded, device=device, precision=precision)
-    if domain is not None:
-        predictor.domain_index(domain)
-    writer = _Writer(model, preview=preview, png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
-    return _run(found, predictor, writer, domain=domain, relative=relative, console=console)
+    workers = min(workers or cpu_count(), len(found.photos))
+    threads = torch.get_num_threads()
+    if workers > 1:
+        # Photos side by side, a core each: the threads of one forward wait for each other all the time.
+        torch.set_num_threads(max(1, cpu_count() // workers))
+    try:
+        network = open_model(model, compat=compat, precision=precision, streams=workers)
+        relative = relative or not network.config.domains
+        if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
+            raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")
+        padded = None if pad == "model" else pad == "yes"
+        predictor = Predictor(network, flip_average=flip, pad=padded, device=device, precision=precision)
+        if domain is not None:
+            predictor.domain_index(domain)
+        writer = _Writer(model, preview=preview, png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
+        return _run(found, predictor, writer, domain=domain, relative=relative, workers=workers, console=console)
+    finally:
+        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True)
@@ -251,6 +268,7 @@ class _Writer:
     n_written: int = 0
     n_rescaled: int = 0
     n_clipped: int = 0
+    lock: Lock = field(default_factory=Lock)
 
     def write(self, photo: Photo, result: "DepthMap", *, trained_size: tuple[int, int], seconds: float) -> None:
         """Depth, preview, then the sidecar."""
@@ -279,8 +297,9 @@ class _Writer:
             "seconds": round(seconds, 3),
         }
         self._write_sidecar(photo, sidecar)
-        self.n_rescaled += self.png_scale is None and scale != PNG_SCALE_MILLIMETRE
-        self.n_clipped += bool(depth.max() * scale > PNG_MAX)
+        with self.lock:
+            self.n_rescaled += self.png_scale is None and scale != PNG_SCALE_MILLIMETRE
+            self.n_clipped += bool(depth.max() * scale > PNG_MAX)
 
     def write_relative(self, photo: Photo, relative: DepthArray, *, seconds: float) -> None:
         """The same of relative depth, which has no unit."""
@@ -304,38 +323,57 @@ class _Writer:
     def _write_sidecar(self, photo: Photo, sidecar: Mapping[str, object]) -> None:
         with atomic_path(photo.sidecar_path) as temporary:
             temporary.write_text(json.dumps(sidecar, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        self.n_written += 1
+        with self.lock:
+            self.n_written += 1
 
 
 def _run(
-    found: Found, predictor: "Predictor", writer: _Writer, *, domain: str | None, relative: bool, console: Console
+    found: Found,
+    predictor: "Predictor",
+    writer: _Writer,
+    *,
+    domain: str | None,
+    relative: bool,
+    workers: int,
+    console: Console,
 ) -> int:
-    """Predict photo by photo; one that fails does not stop the others."""
-    failures, interrupted = list(found.failures), False
+    """Predict ``workers`` photos at a time, each from file to files; one that fails does not stop the others."""
+    interrupted = False
     inputs = {os.path.abspath(photo.path) for photo in found.photos}
+
+    def predict_one(photo: Photo) -> str | None:
+        """What went wrong, if anything did."""
+        try:
+            depth_path = photo.relative_path if relative else photo.depth_path
+            outputs = (depth_path, photo.preview_path, photo.sidecar_path)
+            if clash := [path.name for path in outputs if os.path.abspath(path) in inputs]:
+                raise InputError(f"its {clash[0]} would overwrite another photo, choose another --out")
+            started = time.perf_counter()
+            if relative:
+                result = predictor.relative(photo.path)
+                writer.write_relative(photo, result, seconds=time.perf_counter() - started)
+            else:
+                result = predictor(photo.path, domain=domain)
+                seconds = time.perf_counter() - started
+                writer.write(photo, result, trained_size=predictor.model.config.size, seconds=seconds)
+        except ZoeDepthError as error:
+            return f"{photo.path}: {error}"
+        except Exception as error:  # disk full, out of memory: the rest of ten thousand may still go well
+            return f"{photo.path}: {type(error).__name__}: {error}"
+        return None
+
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    said: list[str | None] = []
+    executor = ThreadPoolExecutor(workers)
     try:
         with Progress(*columns, console=console, transient=True) as progress:
-            for photo in progress.track(found.photos, description="depth"):
-                try:
-                    depth_path = photo.relative_path if relative else photo.depth_path
-                    outputs = (depth_path, photo.preview_path, photo.sidecar_path)
-                    if clash := [path.name for path in outputs if os.path.abspath(path) in inputs]:
-                        raise InputError(f"its {clash[0]} would overwrite another photo, choose another --out")
-                    started = time.perf_counter()
-                    if relative:
-                        result = predictor.relative(photo.path)
-                        writer.write_relative(photo, result, seconds=time.perf_counter() - started)
-                        continue
-                    result = predictor(photo.path, domain=domain)
-                    seconds = time.perf_counter() - started
-                    writer.write(photo, result, trained_size=predictor.model.config.size, seconds=seconds)
-                except ZoeDepthError as error:
-                    failures.append(f"{photo.path}: {error}")
-                except Exception as error:  # disk full, out of memory: the rest of ten thousand may still go well
-                    failures.append(f"{photo.path}: {type(error).__name__}: {error}")
+            results = executor.map(predict_one, found.photos)
+            said.extend(progress.track(results, total=len(found.photos), description="depth"))
     except KeyboardInterrupt:
         interrupted = True
+    finally:
+        executor.shutdown(cancel_futures=True)  # those that have begun are finished: no file is left half written
+    failures = [*found.failures, *filter(None, said)]
 
     for failure in failures:
         console.print(f"[red]failed[/] {escape(failure)}", soft_wrap=True)
@@ -352,6 +390,11 @@ def _run(
     )
     console.print(summary, soft_wrap=True)
     return EXIT_INTERRUPTED if interrupted else EXIT_FAILED if failures else 0
+
+
+def cpu_count() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _rounded(values: Mapping[str, float]) -> dict[str, float]:

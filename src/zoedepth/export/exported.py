@@ -16,7 +16,6 @@ from zoedepth.convert.files import parse_json
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.export.wrapper import INPUT, Exported, chosen
 from zoedepth.model.interface import DepthModel, DepthOutput
-from zoedepth.pretrained import load_model
 
 METADATA = "zoedepth"
 """Key of the JSON in the file's metadata: config, preprocessing, version."""
@@ -71,13 +70,13 @@ class ExportedModel(DepthModel):
 class OnnxModel(ExportedModel):
     """An ONNX file in ONNX Runtime: CUDA where its GPU package is installed (not run), else the CPU."""
 
-    def __init__(self, path: Path, *, threads: int | None = None) -> None:
+    def __init__(self, path: Path, *, threads: int) -> None:
         try:
             import onnxruntime
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
         options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads or torch.get_num_threads()
+        options.intra_op_num_threads = threads
         wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
@@ -95,15 +94,15 @@ class OnnxModel(ExportedModel):
 class OpenVinoModel(ExportedModel):
     """An OpenVINO file, compiled for this processor."""
 
-    def __init__(self, path: Path, *, precision: Precision = "float32", threads: int | None = None) -> None:
+    def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:
         try:
             import openvino
         except ModuleNotFoundError as error:
             raise MissingExtraError("openvino", "running an OpenVINO file") from error
         properties = {
             "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
-            "INFERENCE_NUM_THREADS": threads or torch.get_num_threads(),
-            "PERFORMANCE_HINT": "LATENCY",
+            "INFERENCE_NUM_THREADS": threads * streams,
+            "NUM_STREAMS": streams,
         }
         try:
             read = openvino.Core().read_model(path)
@@ -127,7 +126,9 @@ def is_exported(name_or_path: str | Path) -> bool:
     return Path(name_or_path).suffix.lower() in _SUFFIXES
 
 
-def load_exported(path: str | Path, *, precision: Precision = "float32", threads: int | None = None) -> ExportedModel:
+def load_exported(
+    path: str | Path, *, precision: Precision = "float32", threads: int | None = None, streams: int = 1
+) -> ExportedModel:
     """A file that ``zoedepth export`` wrote, for ``Predictor``.
 
     Files hold no code: both runtimes read a graph of their own known operations.
@@ -135,7 +136,8 @@ def load_exported(path: str | Path, *, precision: Precision = "float32", threads
     Args:
         path: .onnx, or OpenVINO's .xml with its .bin beside it.
         precision: that OpenVINO computes in; ONNX Runtime always computes in the file's.
-        threads: None: as many as torch uses.
+        threads: of each forward; None: as many as torch uses.
+        streams: forwards that will run at the same time.
 
     Raises:
         InputError: no such file, not one of these, or not made by ``zoedepth export``.
@@ -144,24 +146,29 @@ def load_exported(path: str | Path, *, precision: Precision = "float32", threads
     path = Path(path)
     if not path.is_file():
         raise InputError(f"there is no file {path}")
+    threads = threads or torch.get_num_threads()
     if path.suffix.lower() == ".onnx":
         return OnnxModel(path, threads=threads)
     if path.suffix.lower() == ".xml":
-        return OpenVinoModel(path, precision=precision, threads=threads)
+        return OpenVinoModel(path, precision=precision, threads=threads, streams=streams)
     raise InputError(f"{path} is not an exported model that runs here: give a .onnx or .xml file")
 
 
-def open_model(name_or_path: str | Path, *, compat: Iterable[str] = (), precision: Precision = "float32") -> DepthModel:
+def open_model(
+    name_or_path: str | Path, *, compat: Iterable[str] = (), precision: Precision = "float32", streams: int = 1
+) -> DepthModel:
     """An exported file, or whatever ``load_model`` takes.
 
     Raises:
         InputError: see there; or behaviours are chosen for an exported file, which has its own.
     """
+    from zoedepth.pretrained import load_model
+
     if not is_exported(name_or_path):
         return load_model(name_or_path, compat=compat)
     if tuple(compat):
         raise InputError("an exported model has its behaviours built in: give --compat to zoedepth export")
-    return load_exported(name_or_path, precision=precision)
+    return load_exported(name_or_path, precision=precision, streams=streams)
 
 
 def _config(metadata: str | None, path: Path) -> AnyModelConfig:

@@ -37,6 +37,8 @@ class BinEmbeddings(NamedTuple):
 
 def inverse_attractor(distance: Tensor, *, alpha: float, gamma: float) -> Tensor:
     """Eq. 2 for one attractor: (a_k - c_i) / (1 + alpha |a_k - c_i| ** gamma), given the distance a_k - c_i."""
+    if gamma == 2:  # as in every model of the paper: one pass over memory less
+        return distance / torch.addcmul(distance.new_ones(()), distance, distance, value=alpha)
     return distance / (1 + alpha * _power(distance, gamma))
 
 
