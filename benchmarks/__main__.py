@@ -3,13 +3,14 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import depthwise, inference, startup, synthetic
+from benchmarks import depthwise, inference, peers, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
     "inference": inference.main,
     "depthwise": depthwise.main,
     "synthetic": synthetic.main,
+    "peers": peers.main,
 }
 
 

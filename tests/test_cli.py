@@ -49,7 +49,8 @@ def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -
     assert f"zoedepth {name}" in capsys.readouterr().out
 
 
-NEEDED = {"convert": ["model", "target", "--to", "zoedepth"], "push": ["model", "owner/name"]}
+NEEDED = {"convert": ["model", "target", "--to", "zoedepth"], "push": ["model", "owner/name"],
+          "export": ["model", "--to", "onnx"]}  # fmt: skip
 """What a command is refused without before its flags are looked at."""
 
 

@@ -66,7 +66,7 @@ def test_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_commands(workplace: Path) -> None:
     lines = commands("zoedepth")
-    assert {line.split()[1] for line in lines} == {"predict", "evaluate", "train", "models"}
+    assert {line.split()[1] for line in lines} == {"predict", "evaluate", "train", "export", "models"}
     for line in lines:
         # The commands as they are, but for the length of the training.
         if line.split()[1:3] == ["train", "finetune"]:

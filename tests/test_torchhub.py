@@ -44,7 +44,7 @@ def tiny(preset: str, tiny_config: ModelConfig) -> ModelConfig:
 def random_model(config: ModelConfig) -> ZoeDepth:
     with torch.random.fork_rng(), torch.no_grad():
         torch.manual_seed(0)
-        model = ZoeDepth(config).eval()
+        model = ZoeDepth(config).eval().to(memory_format=torch.channels_last)  # as a loaded one
         for weight in model.parameters():
             if weight.ndim > 1:
                 weight.mul_(2)
