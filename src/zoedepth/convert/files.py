@@ -108,7 +108,7 @@ def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             texts = file.metadata() or {}
             return {name: file.get_tensor(name) for name in file.keys()}, texts  # noqa: SIM118  # not a dict
     except (SafetensorError, OSError) as error:
-        raise InputError(f"{path} is not a readable safetensors file ({error})") from error
+        raise InputError(f"{path} is not a readable safetensors file ({_first_line(error)})") from error
 
 
 class _NumpyValue:
