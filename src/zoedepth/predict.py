@@ -131,7 +131,7 @@ class Predictor:
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
         exported = next(model.parameters(), None) is None  # and stays where its runtime is
-        if exported and str(device) not in ("None", "auto", "cpu"):
+        if exported and device is not None and str(device) not in ("auto", "cpu"):
             raise InputError(f"an exported model cannot be moved to {str(device)!r}: leave the device out")
         self.device = model.device if device is None or exported else _device(device)
         self.model = model if self.device == model.device else copy.deepcopy(model).to(self.device)

@@ -1,7 +1,6 @@
 """Running an exported file behind the interface of every model, so that ``Predictor`` takes it like any other."""
 
 import json
-from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -35,9 +34,9 @@ class ExportedModel(DepthModel):
         """Pixels and depth are on the CPU, wherever the runtime computes."""
         return torch.device("cpu")
 
-    @abstractmethod
     def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
         """Outputs by name."""
+        raise NotImplementedError  # abstract: each runtime says how
 
     def forward(
         self,
@@ -88,7 +87,8 @@ class OnnxModel(ExportedModel):
 
     def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
         """Outputs by name."""
-        return dict(zip(self.names, self.session.run(self.names, {INPUT: pixels}), strict=True))  # type: ignore[arg-type]
+        found: Any = self.session.run(self.names, {INPUT: pixels})
+        return dict(zip(self.names, found, strict=True))
 
 
 class OpenVinoModel(ExportedModel):

@@ -177,7 +177,8 @@ class LogBinomial(nn.Module):
 
         See :func:`convolved`.
         """
-        pairs = self.mlp[1:](convolved(self.mlp[0], maps)).float() + _PAIR_EPS  # type: ignore[arg-type]
+        hidden: Any = self.mlp[0]
+        pairs = self.mlp[1:](convolved(hidden, maps)).float() + _PAIR_EPS
         q0, q1, t0, t1 = pairs.split(1, dim=1)
         q = q0 / (q0 + q1)
         t = self.min_temperature + (self.max_temperature - self.min_temperature) * t0 / (t0 + t1)
@@ -198,6 +199,7 @@ class Softmax(nn.Module):
 
         See :func:`convolved`.
         """
+        hidden: Any = self.mlp[0]
         last: Any = self.mlp[2]
-        terms = self.mlp[1](convolved(self.mlp[0], maps)).float()  # type: ignore[arg-type]
+        terms = self.mlp[1:2](convolved(hidden, maps)).float()
         return BinDistribution(terms, last.weight.flatten(1).float(), last.bias.float(), centers)

@@ -31,7 +31,7 @@ class TimmEncoder(nn.Module):
 
     def checkpoint_gradients(self) -> None:
         """From now on the backward pass computes what is inside blocks or stages again, instead of keeping it."""
-        raise NotImplementedError  # abstract
+        raise NotImplementedError  # abstract: blocks are checkpointed one by one, stages by timm
 
 
 class Encoder(TimmEncoder):
