@@ -15,14 +15,14 @@ def random_numbers(*shape: int, low: float = 0.0, high: float = 1.0) -> torch.Te
 
 
 def test_expected_depth_is_equation_1():
-    probability, centers = random_numbers(2, 5, 3, 4), random_numbers(2, 5, 3, 4, low=0.5, high=9)
+    probability, centers = random_numbers(2, 3, 4, 5), random_numbers(2, 3, 4, 5, low=0.5, high=9)
     depth = expected_depth(probability, centers)
-    assert depth.shape == (2, 1, 3, 4)
+    assert depth.shape == (2, 3, 4)
     for b in range(2):
         for y in range(3):
             for x in range(4):
-                expected = sum(probability[b, k, y, x].item() * centers[b, k, y, x].item() for k in range(5))
-                assert depth[b, 0, y, x].item() == pytest.approx(expected, rel=1e-5)
+                expected = sum(probability[b, y, x, k].item() * centers[b, y, x, k].item() for k in range(5))
+                assert depth[b, y, x].item() == pytest.approx(expected, rel=1e-5)
 
 
 def test_inverse_attractor_by_hand():

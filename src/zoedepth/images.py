@@ -136,8 +136,10 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
         raise InputError(f"the PNG scale is levels per metre and must be positive, got {scale}")
     depth = _check_depth(depth)
     valid = np.isfinite(depth) & (depth > 0)
-    levels = np.rint(np.where(valid, depth, 0).astype(np.float64) * scale)
-    levels = np.where(valid, levels.clip(1, PNG_MAX), 0).astype(np.uint16)
+    levels = np.where(valid, depth, 0).astype(np.float64)
+    levels *= scale
+    np.clip(np.rint(levels, out=levels), valid, PNG_MAX, out=levels)  # from 1 where valid
+    levels = levels.astype(np.uint16)
     text = PngInfo()
     text.add_text(_SCALE_KEY, f"{scale:.10g}")
     text.add_text(_UNIT_KEY, "metre")

@@ -83,7 +83,8 @@ def test_names_and_metadata_are_what_other_programs_look_for(tiny_config: ModelC
     session = onnxruntime.InferenceSession(str(tmp_path / "model.onnx"), providers=["CPUExecutionProvider"])
     assert [x.name for x in session.get_inputs()] == ["pixel_values"]
     assert session.get_inputs()[0].shape == ["batch", 3, "height", "width"]
-    assert [x.name for x in session.get_outputs()] == ["predicted_depth", "std", "domain_depth", "domain_logits"]
+    assert [x.name for x in session.get_overridable_initializers()] == ["domain"]
+    assert [x.name for x in session.get_outputs()] == ["predicted_depth", "std", "domain_logits"]
     said = json.loads(session.get_modelmeta().custom_metadata_map["zoedepth"])
     assert said["unit"] == "metre"
     assert said["domains"] == ["indoor", "outdoor"]
@@ -95,8 +96,9 @@ def test_a_torch_program_takes_any_batch(tiny_config: ModelConfig, tmp_path: Pat
     model = beit(tiny_config, 2)
     export_model(model, tmp_path / "model.pt2", to="torch-export", size=(64, 96))
     program = torch.export.load(tmp_path / "model.pt2").module()
-    pixels = torch.rand(3, 3, 64, 96)
-    assert torch.allclose(program(pixels)[0], model(pixels).depth[:, 0], rtol=1e-4, atol=1e-5)
+    pixels, domain = torch.rand(3, 3, 64, 96), torch.tensor([1, 0, 1])
+    assert torch.allclose(program(pixels, domain)[0], model(pixels, domain=domain).depth[:, 0], rtol=1e-4, atol=1e-5)
+    assert torch.allclose(program(pixels, torch.tensor([-1, -1, -1]))[0], model(pixels).depth[:, 0], rtol=1e-4)
 
 
 def test_a_file_with_other_depth_is_refused_and_removed(

@@ -40,4 +40,4 @@ class LocalBins(Baseline):
             boxes = draw_boxes(features.levels[-1], stride=2, n_windows=self.n_windows)
             maps = embed_windows(self.projectors, features.bottleneck, features.levels, boxes)
             windows = window_bins(self.bins, boxes, maps, self.domain, front_padding=self.front_padding)
-        return HeadOutput(distribution.mean(), distribution, Supervision(window_bins=windows))
+        return HeadOutput(distribution, Supervision(window_bins=windows))

@@ -13,7 +13,7 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.convert.files import parse_json
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.export.wrapper import INPUT, Exported, chosen
+from zoedepth.export.wrapper import DOMAIN, INPUT, Exported
 from zoedepth.model.interface import DepthModel, DepthOutput
 
 METADATA = "zoedepth"
@@ -34,8 +34,8 @@ class ExportedModel(DepthModel):
         """Pixels and depth are on the CPU, wherever the runtime computes."""
         return torch.device("cpu")
 
-    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
-        """Outputs by name."""
+    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name."""
         raise NotImplementedError  # abstract: each runtime says how
 
     def forward(
@@ -54,16 +54,16 @@ class ExportedModel(DepthModel):
         if return_bins:
             raise InputError("an exported model gives no bins: use the model it was made from")
         self.check(pixels, domain)
-        found = {name: torch.from_numpy(x) for name, x in self.run(pixels.float().contiguous().numpy()).items()}
+        inputs = {INPUT: pixels.float().contiguous().numpy()}
+        if len(self.config.domains) > 1:
+            inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.long().numpy()
+        found = {name: torch.from_numpy(x) for name, x in self.run(inputs).items()}
         said = Exported(*(found.get(name) for name in Exported._fields))  # type: ignore[arg-type]  # depth is there
-        std, logits = said.std, said.domain_logits
-        if said.domain_depth is None or logits is None:
-            only = torch.zeros(len(pixels), dtype=torch.long)
-            return DepthOutput(said.predicted_depth[:, None], None, only, None, std, None, None)
-        taken = logits.argmax(dim=1) if domain is None else domain.long()
-        depth = said.predicted_depth if domain is None else chosen(said.domain_depth, taken)
-        std = None if std is None else chosen(std, taken)[:, None]
-        return DepthOutput(depth[:, None], None, taken, logits, std, None, None)
+        taken = torch.zeros(len(pixels), dtype=torch.long)
+        if said.domain_logits is not None:
+            taken = said.domain_logits.argmax(dim=1) if domain is None else domain.long()
+        std = None if said.std is None else said.std[:, None]
+        return DepthOutput(said.predicted_depth[:, None], None, taken, said.domain_logits, std, None, None)
 
 
 class OnnxModel(ExportedModel):
@@ -85,9 +85,9 @@ class OnnxModel(ExportedModel):
         self.names = [output.name for output in self.session.get_outputs()]
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
 
-    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
-        """Outputs by name."""
-        found: Any = self.session.run(self.names, {INPUT: pixels})
+    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name."""
+        found: Any = self.session.run(self.names, dict(inputs))
         return dict(zip(self.names, found, strict=True))
 
 
@@ -112,9 +112,9 @@ class OpenVinoModel(ExportedModel):
             raise InputError(f"{path} cannot be read as OpenVINO: {str(error)[:300]}") from error
         super().__init__(metadata, path)
 
-    def run(self, pixels: np.ndarray) -> Mapping[str, np.ndarray]:
-        """Outputs by name. A request of its own: threads may share the model."""
-        results: Any = self.compiled.create_infer_request().infer({INPUT: pixels})
+    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name. A request of its own: threads may share the model."""
+        results: Any = self.compiled.create_infer_request().infer(dict(inputs))
         return {output.get_any_name(): np.array(results[output]) for output in self.compiled.outputs}
 
 

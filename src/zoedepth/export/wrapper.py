@@ -1,6 +1,7 @@
 """The model as other programs get it: one tensor in, named tensors out, and every image its own head in the graph."""
 
 import copy
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -9,6 +10,9 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.errors import InputError
+from zoedepth.heads.attractor import AttractorHead
+from zoedepth.heads.output import HeadOutput
+from zoedepth.heads.probability import BinDistribution
 from zoedepth.model.decoder import upsample
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.router import TrainedRouter
@@ -18,15 +22,17 @@ INPUT = "pixel_values"
 """RGB in [0, 1], float32 (batch, 3, height, width); normalised inside."""
 
 
+DOMAIN = "domain"
+"""Second input, of models with several heads: int64 (batch,), the head each image takes; -1 leaves it to the router."""
+
+
 class Exported(NamedTuple):
     """What an exported model gives; its outputs have these names. Those that a model has not are left out."""
 
     predicted_depth: Float[Tensor, "batch height width"]
-    """Metres, of the head that the router chose, image by image."""
-    std: Float[Tensor, "batch domains height width"] | None
-    """Metres: standard deviation of each head's distribution."""
-    domain_depth: Float[Tensor, "batch domains height width"] | None
-    """Metres, of every head."""
+    """Metres."""
+    std: Float[Tensor, "batch height width"] | None
+    """Metres: standard deviation of the distribution that depth is the mean of."""
     domain_logits: Float[Tensor, "batch domains"] | None
     """The router's scores."""
 
@@ -34,7 +40,7 @@ class Exported(NamedTuple):
 class ExportModel(nn.Module):
     """A model without decisions that depend on values, which no exporter can follow.
 
-    All heads see all images, and each image's own answer is picked: they are a small part of the work.
+    All heads see all images; of what their weights say, each image's own is picked before more is computed of it.
 
     Raises:
         InputError: a model without metric heads, or one whose router must be told the domain or votes over the batch.
@@ -57,26 +63,60 @@ class ExportModel(nn.Module):
                 if isinstance(child, nn.TransformerEncoder):
                     setattr(module, name, PlainTransformer(child))
 
-    def forward(self, pixel_values: Float[Tensor, "batch 3 height width"]) -> tuple[Tensor, ...]:
+    def forward(
+        self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
+    ) -> tuple[Tensor, ...]:
         """The fields of :class:`Exported` that there are, in order."""
-        return tuple(x for x in self.outputs(pixel_values) if x is not None)
+        return tuple(x for x in self.outputs(pixel_values, domain) if x is not None)
 
-    def outputs(self, pixel_values: Float[Tensor, "batch 3 height width"]) -> Exported:
+    def outputs(
+        self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
+    ) -> Exported:
         """By name."""
-        model = self.model
+        model, size = self.model, pixel_values.shape[-2:]
         if not isinstance(model, ZoeDepth):
-            output = model(pixel_values, return_std=True)
-            return Exported(output.depth[:, 0], output.std, None, None)
-        size = pixel_values.shape[-2:]
+            found = model(pixel_values, return_std=True)
+            return Exported(found.depth[:, 0], None if found.std is None else found.std[:, 0], None)
         features = model.shared(model.relative_features(pixel_values))
-        answers = [head(features).answer(std=True, bins=False) for head in model.heads]
-        depth = torch.cat([upsample(answer.depth, size) for answer in answers], dim=1)
-        stds = [upsample(answer.std, size) for answer in answers if answer.std is not None]
-        std = torch.cat(stds, dim=1) if stds else None
-        if len(answers) == 1:
-            return Exported(depth[:, 0], std, None, None)
-        logits = model.router(features.bottleneck, None).logits
-        return Exported(chosen(depth, logits.argmax(dim=1)), std, depth, logits)
+        if domain is None:
+            output, logits = model.heads[0](features), None
+        else:
+            logits = model.router(features.bottleneck, None).logits
+            output = routed(list(model.heads), features, torch.where(domain < 0, logits.argmax(dim=1), domain))
+        answer = output.answer(std=True, bins=False)
+        std = None if answer.std is None else upsample(answer.std, size)[:, 0]
+        return Exported(upsample(answer.depth, size)[:, 0], std, logits)
+
+
+def routed(heads: list[nn.Module], features: Any, domain: Int[Tensor, " batch"]) -> HeadOutput:
+    """What each image's own head says, where all heads see all images."""
+    first: Any = heads[0]
+    if isinstance(first, AttractorHead):
+        attractors: list[Any] = heads
+        points = [_picked(said, domain) for said in zip(*(head.points(features) for head in attractors), strict=True)]
+        ranges = torch.tensor([(head.domain.min_depth, head.domain.max_depth) for head in attractors])[domain]
+        centers = first.centers(points, *ranges[:, :, None, None, None].unbind(dim=1))
+        outputs = [head.output(features, centers) for head in attractors]
+    else:
+        outputs = [head(features) for head in heads]
+    distributions: list[Any] = [output.distribution for output in outputs]
+    if None in distributions:
+        return HeadOutput(_picked([output.depth for output in outputs], domain))
+    fields: list[Any] = [
+        None if field[0] is None else _picked(field, domain) for field in zip(*distributions, strict=True)
+    ]
+    return HeadOutput(BinDistribution(*fields))
+
+
+def _picked(of_heads: Sequence[Tensor], domain: Int[Tensor, " batch"]) -> Tensor:
+    """Each image's own, of tensors whose first axis is the images' or 1."""
+    picked = first = of_heads[0]
+    if all(other is first for other in of_heads):
+        return first
+    for index, other in enumerate(of_heads[1:], start=1):
+        own = (domain == index).view(-1, *(1,) * (first.ndim - 1))
+        picked = torch.where(own, other, picked)
+    return picked
 
 
 class PlainTransformer(nn.Module):
@@ -99,10 +139,3 @@ class PlainTransformer(nn.Module):
             x = layer.norm1(x + attention.out_proj(seen))
             x = layer.norm2(x + layer.linear2(F.relu(layer.linear1(x))))
         return x
-
-
-def chosen(
-    x: Float[Tensor, "batch domains height width"], domain: Int[Tensor, " batch"]
-) -> Float[Tensor, "batch height width"]:
-    """Each image's map of its own domain."""
-    return x.gather(1, domain[:, None, None, None].expand(-1, 1, *x.shape[2:]))[:, 0]

@@ -6,9 +6,11 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,7 +18,7 @@ from zoedepth import __version__
 from zoedepth.config import ModelConfig, to_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.export.exported import METADATA, load_exported
-from zoedepth.export.wrapper import INPUT, Exported, ExportModel
+from zoedepth.export.wrapper import DOMAIN, INPUT, Exported, ExportModel
 from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import resize_pixels
@@ -86,14 +88,25 @@ def export_model(
             difference = _check_program(wrapped, part, size or config.size)
         else:
             graph = part.with_suffix(".onnx")
+            _require(to, int8=int8)
             _write_onnx(wrapped, graph)
-            if to == "openvino":
+            if to == "onnx":
+                _complete_onnx(model, graph)
+            else:
                 _write_openvino(model, graph, part, photos if int8 else ())
                 graph.unlink()
             difference = _check_int8(model, part, photos) if int8 else _check(model, part)
         for file in sorted(part.parent.iterdir()):  # .bin before .xml
             shutil.move(file, path.parent / file.name)
     return difference
+
+
+def _require(to: Format, *, int8: bool) -> None:
+    """Say what is not installed before minutes are spent."""
+    needed = {"onnx": ("onnx", "onnxruntime"), "openvino": ("onnx", "openvino"), "torch-export": ()}[to]
+    for module in (*needed, *(("nncf",) if int8 else ())):
+        if find_spec(module) is None:
+            raise MissingExtraError(to, f"export to {to}")
 
 
 def metadata(model: DepthModel) -> str:
@@ -116,50 +129,50 @@ def metadata(model: DepthModel) -> str:
     })  # fmt: skip
 
 
-def _names(wrapped: ExportModel, pixels: Tensor) -> list[str]:
-    return [name for name, x in zip(Exported._fields, wrapped.outputs(pixels), strict=True) if x is not None]
+def _inputs(model: DepthModel, batch: int, size: tuple[int, int]) -> tuple[Tensor, ...]:
+    """To trace with: smooth colours, and the router's choice where there is one."""
+    pixels = _pixels(batch, size)
+    return (pixels, torch.full((batch,), -1)) if len(model.config.domains) > 1 else (pixels,)
 
 
 def _write_onnx(wrapped: ExportModel, path: Path) -> None:
-    try:
-        import onnx
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("onnx", "export") from error
     config = wrapped.model.config
     # Any size but the one the position tables fit, where nothing would be resized.
     size = config.size if config.one_size else (3 * config.multiple, 4 * config.multiple)
     if size == config.size and not config.one_size:
         size = (size[0], size[1] + config.multiple)
-    pixels = torch.rand(2, 3, *size)
-    names = _names(wrapped, pixels)
-    axes = {
-        INPUT: {0: "batch", 2: "height", 3: "width"},
-        "predicted_depth": {0: "batch", 1: "height", 2: "width"},
-        "domain_logits": {0: "batch"},
-    }
+    inputs = _inputs(wrapped.model, 2, size)
+    names = [name for name, x in zip(Exported._fields, wrapped.outputs(*inputs), strict=True) if x is not None]
+    sides = {} if config.one_size else {"height": -2, "width": -1}
+    axes = {INPUT: {0: "batch"} | {4 + at: side for side, at in sides.items()}, "domain_logits": {0: "batch"}}
     for name in names:
-        axes.setdefault(name, {0: "batch", 2: "height", 3: "width"})
-    if config.one_size:
-        axes = {name: {0: "batch"} for name in axes}
+        axes.setdefault(name, {0: "batch"} | {3 + at: side for side, at in sides.items()})
+    axes[DOMAIN] = {0: "batch_or_1"}
     # By tracing: with free sizes torch.export takes minutes (docs/log.md). With gradients, because what is computed in
     # pieces without them would be traced piece by piece.
     with warnings.catch_warnings(), torch.enable_grad():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            wrapped, (pixels,), path, input_names=[INPUT], output_names=names,
+            wrapped, inputs, path, input_names=[INPUT, DOMAIN][: len(inputs)], output_names=names,
             dynamic_axes=axes, opset_version=OPSET, dynamo=False,
         )  # fmt: skip
+
+
+def _complete_onnx(model: DepthModel, path: Path) -> None:
+    """Say what the model is; and what the second input is where it is left out."""
+    import onnx
+
     graph = onnx.load(path)
     entry = graph.metadata_props.add()
-    entry.key, entry.value = METADATA, metadata(wrapped.model)
+    entry.key, entry.value = METADATA, metadata(model)
+    if len(model.config.domains) > 1:
+        graph.graph.initializer.append(onnx.helper.make_tensor(DOMAIN, onnx.TensorProto.INT64, [1], [-1]))
     onnx.save(graph, path)
 
 
 def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence[str | Path]) -> None:
-    try:
-        import openvino
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("openvino", "export to openvino") from error
+    import openvino
+
     converted = openvino.convert_model(graph)
     if photos:
         converted = _quantized(model, converted, photos)
@@ -168,20 +181,20 @@ def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence
 
 
 def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -> Any:
-    try:
-        import nncf
-    except ModuleNotFoundError as error:
-        raise MissingExtraError("openvino", "int8") from error
+    import nncf
+
     config = model.config
     transformer = isinstance(config, ModelConfig) and config.encoder.family != "convolutional"
-    inputs = [_prepared(model, photo) for photo in photos]
+    choice = {DOMAIN: np.array([-1])} if len(config.domains) > 1 else {}
+    inputs = [{INPUT: _prepared(model, photo)} | choice for photo in photos]
     return nncf.quantize(
         converted,
         nncf.Dataset(inputs),
         subset_size=len(inputs),
         preset=nncf.QuantizationPreset.MIXED,
         model_type=nncf.ModelType.TRANSFORMER if transformer else None,
-        ignored_scope=nncf.IgnoredScope(patterns=[".*heads.*", ".*router.*"], validate=False),
+        # Nodes are named by the modules they are in.
+        ignored_scope=nncf.IgnoredScope(patterns=["^(?!/(model|encoder|decoder|shared)/).*$"], validate=False),
     )
 
 
@@ -195,9 +208,10 @@ def _prepared(model: DepthModel, photo: str | Path) -> Any:
 
 
 def _write_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> None:
-    shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},)
+    inputs = _inputs(wrapped.model, 2, size)
+    shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},) * len(inputs)
     with torch.enable_grad():
-        program = torch.export.export(wrapped, (torch.rand(2, 3, *size),), dynamic_shapes=shapes, strict=False)
+        program = torch.export.export(wrapped, inputs, dynamic_shapes=shapes, strict=False)
     torch.export.save(program, path, extra_files={METADATA: metadata(wrapped.model)})
 
 
@@ -206,8 +220,8 @@ def _check_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> f
     run = torch.export.load(path).module()
     worst = 0.0
     for batch in (1, 2):
-        pixels = _pixels(batch, size)
-        for found, expected in zip(run(pixels), wrapped(pixels), strict=True):
+        inputs = _inputs(wrapped.model, batch, size)
+        for found, expected in zip(run(*inputs), wrapped(*inputs), strict=True):
             worst = max(worst, _difference(found, expected))
     return _within(worst, TOLERANCE, path)
 

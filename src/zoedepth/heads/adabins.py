@@ -63,7 +63,7 @@ class ImageBins(nn.Module):
         attention = torch.einsum("bqc,bchw->bqhw", queries, self.features(x))
         centers = image_centers(self.widths(tokens[:, 0]).float(), self.domain)
         distribution = BinDistribution(self.probability(attention).float(), None, None, centers[:, :, None, None])
-        return HeadOutput(distribution.mean(), distribution, Supervision(image_bins=centers))
+        return HeadOutput(distribution, Supervision(image_bins=centers))
 
 
 def image_centers(scores: Float[Tensor, "batch bins"], domain: Domain) -> Float[Tensor, "batch bins"]:

@@ -6,7 +6,7 @@ It comes in two parts. :class:`BinEmbedding` turns decoder features into bin emb
 
 import math
 from functools import reduce as reduce_by
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -150,34 +150,45 @@ class AttractorHead(nn.Module):
 
     def forward(self, embeddings: BinEmbeddings) -> HeadOutput:
         """Depth in metres at the size of ``embeddings.last``."""
-        config = self.config
-        centers = self._seed_centers(self.seed(embeddings.bottleneck).float())
-        previous = embeddings.seed
+        centers = self.centers(self.points(embeddings), self.domain.min_depth, self.domain.max_depth)
+        return self.output(embeddings, centers)
+
+    def points(self, embeddings: BinEmbeddings) -> list[Tensor]:
+        """All that this domain's weights say of the bins: seeds before their activation, and attractors level by level.
+
+        Seeds are (batch, bins, rows, columns) at the bottleneck, attractors (batch, attractors, rows, columns).
+        """
+        points, previous = [self.seed(embeddings.bottleneck).float()], embeddings.seed
         for layer, embedding in zip(self.attractors, embeddings.levels, strict=True):
-            size = embedding.shape[-2:]
             # As released, the next level is given this level's embedding, not the sum.
-            points = layer(embedding + upsample(previous, size))
+            points.append(layer(embedding + upsample(previous, embedding.shape[-2:])))
+            previous = embedding
+        return points
+
+    def centers(self, points: list[Tensor], low: Any, high: Any) -> Float[Tensor, "batch bins height width"]:
+        """The bin centers, metres, at the size of the last attractors.
+
+        Args:
+            points: see ``points``.
+            low, high: what bounds them, where they are bounded, metres: numbers, or (batch, 1, 1, 1).
+        """
+        config, (seeds, *attractors) = self.config, points
+        centers = normed_centers(F.relu(seeds) + _EPS) if config.centers == "normed" else F.softplus(seeds)
+        for level in attractors:
             centers = attract(
-                upsample(centers, size), points,
+                upsample(centers, level.shape[-2:]), level,
                 kind=config.kind, reduce=config.reduce, alpha=config.alpha, gamma=config.gamma,
             )  # fmt: skip
-            previous = embedding
-        centers = self._to_metres(centers)
-        inputs = [embeddings.last, embeddings.relative] if config.relative_input else [embeddings.last]
-        distribution = self.probability([*inputs, previous], centers)
-        return HeadOutput(distribution.mean(), distribution)
-
-    def _seed_centers(self, x: Float[Tensor, "batch bins rows columns"]) -> Float[Tensor, "batch bins rows columns"]:
-        """Seed centers: metres (softplus), or fractions of the depth range (normed)."""
-        return normed_centers(F.relu(x) + _EPS) if self.config.centers == "normed" else F.softplus(x)
-
-    def _to_metres(self, centers: Tensor) -> Tensor:
-        """The centers after the last level: normed ones sorted and inside the depth range, others positive."""
-        low, high = self.domain.min_depth, self.domain.max_depth
-        if self.config.centers == "normed":
+        if config.centers == "normed":  # fractions of the range so far
             return (low + (high - low) * centers).sort(dim=1).values.clamp(low, high)
         # A mean of pulls stays among the points, which are positive; a sum may overshoot below zero.
-        return centers.clamp(min=low) if self.config.reduce == "sum" else centers
+        return centers.clamp(min=low) if config.reduce == "sum" else centers
+
+    def output(self, embeddings: BinEmbeddings, centers: Float[Tensor, "batch bins height width"]) -> HeadOutput:
+        """The distribution over bins at these centers."""
+        inputs = [embeddings.last, embeddings.relative] if self.config.relative_input else [embeddings.last]
+        last = embeddings.levels[-1] if embeddings.levels else embeddings.seed
+        return HeadOutput(self.probability([*inputs, last], centers))
 
     def _spread_centers(self) -> None:
         """Start with seed centers, and the attractors, spread geometrically over the depth range (from 5 % of it)."""

@@ -49,23 +49,29 @@ class Answer(NamedTuple):
 
 
 class HeadOutput(NamedTuple):
-    """Metric depth, at the head's own resolution; and the distribution it is the mean of, where it is one."""
+    """What a metric head makes of decoder features, at the head's own resolution."""
 
-    depth: Float[Tensor, "batch 1 rows columns"]
-    """Metres."""
-    distribution: BinDistribution | None = None
+    prediction: Float[Tensor, "batch 1 rows columns"] | BinDistribution
+    """Depth in metres, or a distribution that it is the mean of."""
     supervision: Supervision = Supervision()
 
-    def std(self) -> Float[Tensor, "batch 1 rows columns"] | None:
-        """Metres: standard deviation of the distribution; None where the head has none."""
-        return None if self.distribution is None else self.distribution.std(self.depth)
+    @property
+    def distribution(self) -> BinDistribution | None:
+        """None where the head has none."""
+        return self.prediction if isinstance(self.prediction, BinDistribution) else None
+
+    @property
+    def depth(self) -> Float[Tensor, "batch 1 rows columns"]:
+        """Metres."""
+        return self.prediction.mean() if isinstance(self.prediction, BinDistribution) else self.prediction
 
     def answer(self, *, std: bool, bins: bool) -> Answer:
         """Depth, and what else is asked for, where the head has it."""
-        centers, probability = None, None
-        if bins and self.distribution is not None:
-            centers, probability = self.distribution.bin_centers, self.distribution.probability
-        return Answer(self.depth, self.std() if std else None, centers, probability, self.supervision)
+        if not isinstance(self.prediction, BinDistribution):
+            return Answer(self.prediction, None, None, None, self.supervision)
+        depth, spread = self.prediction.mean_and_std() if std else (self.prediction.mean(), None)
+        centers = self.prediction.bin_centers if bins else None
+        return Answer(depth, spread, centers, self.prediction.probability if bins else None, self.supervision)
 
 
 class PassThrough(nn.Module):
@@ -85,14 +91,13 @@ def mixed(outputs: list[HeadOutput], weight: Float[Tensor, "batch heads"]) -> He
     Where the heads have distributions, it is one over the bins of all of them.
     """
     weights = weight.unbind(dim=1)
-    depths = [w[:, None, None, None] * output.depth for w, output in zip(weights, outputs, strict=True)]
     parts = [
         output.distribution.mixed(w)
         for w, output in zip(weights, outputs, strict=True)
         if output.distribution is not None
     ]
-    depth = torch.stack(depths).sum(dim=0)
     if not parts:
-        return HeadOutput(depth)
+        depths = [w[:, None, None, None] * output.depth for w, output in zip(weights, outputs, strict=True)]
+        return HeadOutput(torch.stack(depths).sum(dim=0))
     logits, centers = (torch.cat(maps, dim=1) for maps in zip(*((p.maps, p.centers) for p in parts), strict=True))
-    return HeadOutput(depth, BinDistribution(logits, None, None, centers))
+    return HeadOutput(BinDistribution(logits, None, None, centers))

@@ -53,4 +53,4 @@ class PixelBins(nn.Module):
         widths = widths / widths.sum(dim=1, keepdim=True)
         centers = bin_centers(widths, self.domain, front_padding=not self.exact)
         distribution = BinDistribution(self.probability(x).float(), None, None, centers)
-        return HeadOutput(distribution.mean(), distribution)
+        return HeadOutput(distribution)

@@ -17,10 +17,10 @@ _PAIR_EPS = 1e-4
 
 
 def expected_depth(
-    probability: Float[Tensor, "batch bins height width"], bin_centers: Float[Tensor, "batch bins height width"]
-) -> Float[Tensor, "batch 1 height width"]:
+    probability: Float[Tensor, "*pixels bins"], bin_centers: Float[Tensor, "*pixels bins"]
+) -> Float[Tensor, "*pixels"]:
     """Eq. 1: d = sum_k p_k c_k, in the unit of the centers."""
-    return (probability * bin_centers).sum(dim=1, keepdim=True)
+    return (probability * bin_centers).sum(dim=-1)
 
 
 def log_binomial_coefficients(n_bins: int) -> Float[Tensor, " bins"]:
@@ -57,15 +57,15 @@ def log_binomial_terms(
     q: Float[Tensor, "batch 1 height width"],
     t: Float[Tensor, "batch 1 height width"],
     coefficients: Float[Tensor, " bins"],
-) -> tuple[Float[Tensor, "batch 2 height width"], Float[Tensor, "bins 2"]]:
-    """The logits of :func:`log_binomial` as a product: two maps, and two columns over the bins.
+) -> tuple[Float[Tensor, "batch 2 height width"], Float[Tensor, "1 bins 2"]]:
+    """The logits of :func:`log_binomial` as a product: two maps, and two columns over the bins, for all images.
 
     ln(q^k (1 - q)^(n - k)) = k (ln q - ln(1 - q)) + n ln(1 - q), and the softmax does not see the last term.
     """
     q, t = q.float(), t.float()
     odds = q.clamp(1e-4, 1).log() - (1 - q).clamp(1e-4, 1).log()
     k = torch.arange(len(coefficients), device=q.device, dtype=torch.float32)
-    return torch.cat([1 / t, odds / t], dim=1), torch.stack([coefficients, k], dim=1)
+    return torch.cat([1 / t, odds / t], dim=1), torch.stack([coefficients, k], dim=1)[None]
 
 
 def convolved(conv: nn.Conv2d, maps: Sequence[Tensor]) -> Float[Tensor, "batch output_channels height width"]:
@@ -90,35 +90,36 @@ class BinDistribution(NamedTuple):
     """
 
     maps: Float[Tensor, "batch terms height width"]
-    weight: Float[Tensor, "bins terms"] | None
-    """The logits are weight @ maps + bias, in float32; without a weight they are the maps."""
-    bias: Float[Tensor, " bins"] | None
+    weight: Float[Tensor, "_ bins terms"] | None
+    """The logits are weight @ maps + bias, in float32; without a weight they are the maps. One for all, or an image."""
+    bias: Float[Tensor, "_ bins"] | None
     centers: Float[Tensor, "batch bins _ _"]
     """Metres, at the size of the maps or any other: they are upsampled to it."""
 
     @property
     def probability(self) -> Float[Tensor, "batch bins height width"]:
         """Sums to 1 over the bins."""
-        return self._probability(slice(None))
+        return self._probability(slice(None)).permute(0, 3, 1, 2)
 
     @property
     def bin_centers(self) -> Float[Tensor, "batch bins height width"]:
         """Metres."""
-        size = self.maps.shape[-2:]
-        return self._centers(slice(None)).expand(-1, -1, *size)
+        return self._centers(slice(None)).permute(0, 3, 1, 2).expand(-1, -1, *self.maps.shape[-2:])
 
     def mean(self) -> Float[Tensor, "batch 1 height width"]:
         """Eq. 1: the expected depth, metres."""
         bands = [expected_depth(self._probability(rows), self._centers(rows)) for rows in self._bands()]
-        return torch.cat(bands, dim=2)
+        return torch.cat(bands, dim=1)[:, None]
 
-    def std(self, mean: Float[Tensor, "batch 1 height width"]) -> Float[Tensor, "batch 1 height width"]:
-        """Standard deviation around the mean, metres."""
-        bands = [
-            expected_depth(self._probability(rows), (self._centers(rows) - mean[:, :, rows]).square())
-            for rows in self._bands()
-        ]
-        return torch.cat(bands, dim=2).sqrt()
+    def mean_and_std(self) -> tuple[Float[Tensor, "batch 1 height width"], Float[Tensor, "batch 1 height width"]]:
+        """The expected depth and the standard deviation around it, metres."""
+        means, variances = [], []
+        for rows in self._bands():
+            probability, centers = self._probability(rows), self._centers(rows)
+            mean = expected_depth(probability, centers)
+            means.append(mean)
+            variances.append(expected_depth(probability, (centers - mean[..., None]).square()))
+        return torch.cat(means, dim=1)[:, None], torch.cat(variances, dim=1)[:, None].sqrt()
 
     def mixed(self, weight: Float[Tensor, " batch"]) -> "BinDistribution":
         """One part of a mixture: its probabilities sum to the weight, once it is joined with the others."""
@@ -132,21 +133,25 @@ class BinDistribution(NamedTuple):
         rows = max(1, _BAND // (batch * width * self.centers.shape[1]))
         return [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
 
-    def _probability(self, rows: slice) -> Float[Tensor, "batch bins rows width"]:
-        # Each pixel's bins lie side by side in memory: the only order that a softmax is fast in.
-        return self._logits(rows).softmax(dim=3).permute(0, 3, 1, 2)
+    # Below, each pixel's bins lie side by side in memory: the only order that a softmax is fast in.
+
+    def _probability(self, rows: slice) -> Float[Tensor, "batch rows width bins"]:
+        return self._logits(rows).softmax(dim=3)
 
     def _logits(self, rows: slice) -> Float[Tensor, "batch rows width bins"]:
         maps = self.maps[:, :, rows].permute(0, 2, 3, 1)
         if self.weight is None:
             return maps
         with torch.autocast(maps.device.type, enabled=False):  # the log-binomial's reach 63 ln(1e-4) / 0.02
-            return F.linear(maps, self.weight, self.bias)
+            if self.weight.shape[0] == 1:
+                return F.linear(maps, self.weight[0], None if self.bias is None else self.bias[0])
+            logits = maps @ self.weight.transpose(1, 2)[:, None]
+            return logits if self.bias is None else logits + self.bias[:, None, None]
 
-    def _centers(self, rows: slice) -> Float[Tensor, "batch bins _ _"]:
-        if self.centers.shape[-2:] == (1, 1):
-            return self.centers  # the same everywhere
-        return upsample_rows(self.centers, self.maps.shape[-2:], rows)
+    def _centers(self, rows: slice) -> Float[Tensor, "batch _ _ bins"]:
+        one = self.centers.shape[-2:] == (1, 1)  # the same everywhere
+        centers = self.centers if one else upsample_rows(self.centers, self.maps.shape[-2:], rows)
+        return centers.permute(0, 2, 3, 1)
 
 
 _BAND = 2**19
@@ -202,4 +207,4 @@ class Softmax(nn.Module):
         hidden: Any = self.mlp[0]
         last: Any = self.mlp[2]
         terms = self.mlp[1:2](convolved(hidden, maps)).float()
-        return BinDistribution(terms, last.weight.flatten(1).float(), last.bias.float(), centers)
+        return BinDistribution(terms, last.weight.flatten(1).float()[None], last.bias.float()[None], centers)

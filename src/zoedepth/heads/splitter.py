@@ -232,7 +232,7 @@ class SplitterHead(nn.Module):
         inputs = [features.last, features.relative] if self.relative_input else [features.last]
         distribution = self.probability([*inputs, features.embeddings[-1]], centers)
         windows = window_bins(self.bins, features.boxes, features.windows, self.domain)
-        return HeadOutput(distribution.mean(), distribution, Supervision(window_bins=windows))
+        return HeadOutput(distribution, Supervision(window_bins=windows))
 
 
 def _mlp(channels: int, hidden: int, output_channels: int) -> nn.Sequential:

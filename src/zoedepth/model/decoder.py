@@ -188,5 +188,6 @@ def upsample_rows(
     places = torch.arange(rows.start, rows.stop, device=x.device) * ((n_rows - 1) / max(height - 1, 1))
     above = places.floor().long().clamp(max=n_rows - 1)
     below = (above + 1).clamp(max=n_rows - 1)
-    band = torch.lerp(x[:, :, above], x[:, :, below], (places - above).to(x.dtype)[:, None])
-    return upsample(band, torch.Size([len(places), size[1]]))
+    lines = x.permute(0, 2, 3, 1)  # with channels last, which indexing along another axis would not keep
+    band = torch.lerp(lines[:, above], lines[:, below], (places - above).to(x.dtype)[:, None, None])
+    return upsample(band.permute(0, 3, 1, 2), torch.Size([len(places), size[1]]))
