@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.baselines.test_every_baseline import build as build_baseline
+from tests.heads import test_bts, test_dorn, test_splitter
+from tests.model.test_encoder import TINY_SWIN
 
 import zoedepth.export.write
 from zoedepth import Predictor, load_model, save_model
@@ -15,6 +18,7 @@ from zoedepth.cli import main
 from zoedepth.config import Domain, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
+from zoedepth.export.exported import OpenVinoModel
 from zoedepth.export.write import ExportError
 from zoedepth.model.interface import DepthModel, build_network
 from zoedepth.model.zoedepth import ZoeDepth
@@ -153,6 +157,47 @@ def test_the_command_line_writes_and_reads_exported_files(tmp_path: Path, capsys
     said = [np.asarray(Image.open(tmp_path / name / "photo_depth.png")) for name in ("torch", "onnx", "openvino")]
     assert np.abs(said[0].astype(int) - said[1]).max() <= 1
     assert np.abs(said[0].astype(int) - said[2]).max() <= 1
+
+
+HEADS = {
+    "normed": lambda config: replace(config, head=replace(config.head, centers="normed")),
+    "softmax": lambda config: replace(config, head=replace(config.head, probability="softmax")),
+    "splitter": lambda config: replace(config, head=test_splitter.TINY),
+    "dorn": lambda config: replace(config, head=test_dorn.TINY),
+    "bts": lambda config: replace(config, head=test_bts.TINY),
+    "swin": lambda config: replace(config, encoder=TINY_SWIN, size=(64, 64)),
+}
+
+
+@pytest.mark.parametrize("name", HEADS)
+def test_other_heads_and_encoders_are_exported_too(name: str, tiny_config: ModelConfig, tmp_path: Path):
+    model = beit(HEADS[name](tiny_config), 2)
+    assert export_model(model, tmp_path / "model.xml", to="openvino") < 1e-4
+    assert export_model(model, tmp_path / "model.pt2", to="torch-export") < 1e-4
+
+
+@torch.no_grad()
+def test_openvino_compiles_for_the_first_shape_and_once_more_for_all_others(tiny_config: ModelConfig, tmp_path: Path):
+    model = beit(tiny_config, 2)
+    export_model(model, tmp_path / "model.xml", to="openvino")
+    exported = load_exported(tmp_path / "model.xml")
+    assert isinstance(exported, OpenVinoModel)
+    sizes = [(1, 3, 288, 352), (1, 3, 64, 96), (2, 3, 288, 352), (1, 3, 288, 352)]  # large biases at first
+    for size in sizes:
+        pixels = torch.rand(*size, generator=torch.Generator().manual_seed(0))
+        assert torch.allclose(exported(pixels).depth, model(pixels).depth, rtol=1e-4, atol=1e-5)
+    assert set(exported.compiled) == {sizes[0], None}
+    biases = 4 * (18 * 22 + 1) ** 2
+    assert biases > 1 << 18
+
+
+def test_what_cannot_be_traced_is_said(tmp_path: Path):
+    with pytest.raises(InputError, match="torch-export only"):
+        export_model(build_baseline("newcrfs"), tmp_path / "model.xml", to="openvino")
+    with pytest.raises(ExportError, match="torch-export only"):
+        export_model(build_baseline("adabins"), tmp_path / "model.xml", to="openvino")
+    export_model(build_baseline("adabins"), tmp_path / "model.pt2", to="torch-export")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.pt2"]
 
 
 def test_wrong_wishes_are_refused(tiny_config: ModelConfig, tmp_path: Path):

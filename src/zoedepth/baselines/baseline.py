@@ -46,5 +46,5 @@ class Baseline(DepthModel):
         size = pixels.shape[-2:]
         mean, std = (pixels.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
         answer = self.predict((pixels - mean) / std).answer(std=return_std, bins=return_bins)
-        only = torch.zeros(len(pixels), dtype=torch.long, device=pixels.device)
+        only = torch.zeros(pixels.shape[0], dtype=torch.long, device=pixels.device)
         return depth_output(answer, size, Routing(only, None), None)

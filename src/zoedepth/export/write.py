@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from zoedepth import __version__
-from zoedepth.config import ModelConfig, to_dict
+from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetwork, to_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.export.exported import METADATA, load_exported
 from zoedepth.export.wrapper import DOMAIN, INPUT, Exported, ExportModel
@@ -77,28 +77,46 @@ def export_model(
         raise InputError(f"the sides of a network input are multiples of {config.multiple}: got {size}")
     if config.one_size and size not in (None, config.size):
         raise InputError(f"{config.encoder_name} takes pixels of {config.size} only")
+    parts = config.head if isinstance(config, ModelConfig) else config.network
+    if to != "torch-export" and isinstance(parts, NewCrfsConfig | NewCrfsNetwork):
+        raise InputError("NeWCRFs cuts a photo into windows by its size, which fits torch-export only")
     if model.device.type != "cpu":
         raise InputError("the model is on another device: export a copy on the CPU, which the check runs on")
     wrapped = ExportModel(model).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export-") as name:
         part = Path(name) / path.name
-        if to == "torch-export":
-            _write_program(wrapped, part, size or config.size)
-            difference = _check_program(wrapped, part, size or config.size)
-        else:
-            graph = part.with_suffix(".onnx")
-            _require(to, int8=int8)
-            _write_onnx(wrapped, graph)
-            if to == "onnx":
-                _complete_onnx(model, graph)
-            else:
-                _write_openvino(model, graph, part, photos if int8 else ())
-                graph.unlink()
-            difference = _check_int8(model, part, photos) if int8 else _check(model, part)
+        _require(to, int8=int8)
+        try:
+            difference = _write(model, wrapped, part, to=to, photos=photos if int8 else (), size=size or config.size)
+        except RuntimeError as error:  # of which all exporters' are kinds
+            raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
         for file in sorted(part.parent.iterdir()):  # .bin before .xml
             shutil.move(file, path.parent / file.name)
     return difference
+
+
+def _write(
+    model: DepthModel,
+    wrapped: ExportModel,
+    path: Path,
+    *,
+    to: Format,
+    photos: Sequence[str | Path],
+    size: tuple[int, int],
+) -> float:
+    """Write and check, in one of the formats; with photos in 8 bits."""
+    if to == "torch-export":
+        _write_program(wrapped, path, size)
+        return _check_program(wrapped, path, size)
+    graph = path.with_suffix(".onnx")
+    _write_onnx(wrapped, graph)
+    if to == "onnx":
+        _complete_onnx(model, graph)
+        return _check(model, path)
+    _write_openvino(model, graph, path, photos)
+    graph.unlink()
+    return _check_int8(model, path, photos) if photos else _check(model, path)
 
 
 def _require(to: Format, *, int8: bool) -> None:
@@ -278,6 +296,7 @@ def _within(difference: float, tolerance: float, path: Path) -> float:
     if difference > tolerance:
         raise ExportError(
             f"{path.name} gives other depth than torch: a median relative difference of {difference:.2g}, "
-            f"where {tolerance:.2g} is allowed. It was not kept"
+            f"where {tolerance:.2g} is allowed. It was not kept. A model that decides by the size of photos fits "
+            "torch-export only"
         )
     return difference

@@ -117,8 +117,9 @@ class AttractorLayer(nn.Module):
         points = self.mlp(x).float()
         if not self.normed:
             return F.softplus(points)
-        pairs = (F.relu(points) + _EPS).unflatten(1, (-1, 2))
-        return pairs[:, :, 0] / pairs.sum(dim=2) if self.ratio else pairs[:, :, 0]
+        points = F.relu(points) + _EPS
+        first, second = points[:, 0::2], points[:, 1::2]  # side by side, as released
+        return first / (first + second) if self.ratio else first
 
 
 class AttractorHead(nn.Module):

@@ -54,7 +54,7 @@ def ordinal_output(
 ) -> HeadOutput:
     """Depth, and what the ordinal loss needs, of float32 logits."""
     thresholds = logits.new_tensor(edges)
-    supervision = Supervision(ordinal=Ordinal(logits, thresholds.expand(len(logits), -1)))
+    supervision = Supervision(ordinal=Ordinal(logits, thresholds.expand(logits.shape[0], -1)))
     return HeadOutput(ordinal_depth(logits, thresholds, decode=decode), supervision=supervision)
 
 

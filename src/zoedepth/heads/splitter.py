@@ -133,7 +133,7 @@ def draw_boxes(features: Map, *, stride: int, n_windows: int) -> Float[Tensor, "
     # A photo may be smaller than the largest windows.
     sides = torch.tensor(WINDOW_SIZES, device=features.device)[:, None].clamp(max=size)
     sides = sides.repeat_interleave(n_windows, dim=0)
-    chance = torch.rand(len(features), *sides.shape, device=features.device)
+    chance = torch.rand(features.shape[0], *sides.shape, device=features.device)
     start = (chance * (size - sides + 1)).floor()
     return torch.cat([start / size, (start + sides) / size], dim=2)
 
@@ -149,7 +149,7 @@ def pool_windows(x: Map, boxes: Float[Tensor, "batch windows 4"]) -> Float[Tenso
 
     height, width = x.shape[-2:]
     places = boxes * boxes.new_tensor([width, height, width, height])
-    image = torch.arange(len(boxes), device=boxes.device)[:, None, None].expand(-1, boxes.shape[1], 1)
+    image = torch.arange(boxes.shape[0], device=boxes.device)[:, None, None].expand(-1, boxes.shape[1], 1)
     rois = torch.cat([image.to(places.dtype), places], dim=2).flatten(0, 1)
     pooled = roi_align(x.float(), rois, output_size=1, aligned=True)
     return pooled.flatten(1).unflatten(0, boxes.shape[:2]).transpose(1, 2)[..., None].to(x.dtype)
