@@ -211,7 +211,7 @@ def machine_rates() -> dict[str, float]:
     def best(function: Callable[[], object]) -> float:
         function()
         times = []
-        for _ in range(5):
+        for _ in range(9):
             started = time.perf_counter()
             function()
             times.append(time.perf_counter() - started)
