@@ -97,8 +97,8 @@ class OnnxModel(ExportedModel):
 class OpenVinoModel(ExportedModel):
     """An OpenVINO file, compiled for this processor.
 
-    It is compiled for the first shape of pixels that comes, which takes two thirds of the time and memory of a graph
-    of any shape; all other shapes share one of those, compiled when the first of them comes.
+    It is compiled for the first shape of pixels that comes, which is faster and needs less memory than a graph of any
+    shape; all other shapes share one of those, compiled when the first of them comes.
     """
 
     def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:

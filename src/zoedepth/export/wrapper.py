@@ -1,4 +1,4 @@
-"""The model as other programs get it: one tensor in, named tensors out, and every image its own head in the graph."""
+"""The model as other programs get it: named tensors in and out, and every image its own head in the graph."""
 
 import copy
 from collections.abc import Sequence
@@ -20,8 +20,6 @@ from zoedepth.model.zoedepth import ZoeDepth
 
 INPUT = "pixel_values"
 """RGB in [0, 1], float32 (batch, 3, height, width); normalised inside."""
-
-
 DOMAIN = "domain"
 """Second input, of models with several heads: int64 (batch,), the head each image takes; -1 leaves it to the router."""
 

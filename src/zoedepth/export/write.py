@@ -252,7 +252,7 @@ def _check_int8(model: DepthModel, path: Path, photos: Sequence[str | Path]) -> 
         pixels = torch.from_numpy(_prepared(model, photo))
         found = exported(pixels)
         worst = max(worst, _difference(found.depth, model(pixels, domain=found.domain).depth))
-    return _within(worst, TOLERANCE_INT8, path)
+    return _within(worst, TOLERANCE_INT8, path, advice=": calibrate on more photos, or of another kind")
 
 
 @torch.no_grad()
@@ -274,7 +274,7 @@ def _check(model: DepthModel, path: Path) -> float:
                     _within(_difference(found.domain_logits, expected.domain_logits), 100 * TOLERANCE, path)
                 if expected.std is not None:
                     worst = max(worst, _difference(found.std, expected.std))
-    return _within(worst, TOLERANCE, path)
+    return _within(worst, TOLERANCE, path, advice=": what decides by the size of photos fits torch-export only")
 
 
 def _pixels(batch: int, size: tuple[int, int]) -> Tensor:
@@ -292,11 +292,10 @@ def _difference(found: Tensor | None, expected: Tensor | None) -> float:
     return float(difference.median()) if bool(found.isfinite().all()) else math.inf
 
 
-def _within(difference: float, tolerance: float, path: Path) -> float:
+def _within(difference: float, tolerance: float, path: Path, *, advice: str = "") -> float:
     if difference > tolerance:
         raise ExportError(
             f"{path.name} gives other depth than torch: a median relative difference of {difference:.2g}, "
-            f"where {tolerance:.2g} is allowed. It was not kept. A model that decides by the size of photos fits "
-            "torch-export only"
+            f"where {tolerance:.2g} is allowed. It was not kept{advice}"
         )
     return difference
