@@ -7,6 +7,7 @@ torch, so the command line can show and change configurations without waiting fo
 import dataclasses
 import types
 import typing
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar, Union
 
@@ -162,7 +163,7 @@ OUTDOOR = Domain("outdoor", 1e-3, 80.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class _PhotoConfig:
+class _PhotoConfig(ABC):
     """What every model says of its domains, and of the photos it takes."""
 
     domains: tuple[Domain, ...] = (INDOOR,)
@@ -200,9 +201,9 @@ class _PhotoConfig:
         return self.resize == "keep-aspect" and not self.one_size
 
     @property
+    @abstractmethod
     def encoder_name(self) -> str:
         """timm's name of the encoder."""
-        raise NotImplementedError  # abstract: the two kinds of config below keep it in different places
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[
     if broken := [name_in_file(name) for name, value in floats.items() if not value.isfinite().all()]:
         raise InputError(f"the weights in {source} are not finite: {shown(broken)}")
     model.load_state_dict(floats, assign=True)
-    return _with_buffers(model).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
+    return _with_buffers(model).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]  # see build_network
 
 
 def misfits(expected: dict[str, Tensor], weights: dict[str, Tensor]) -> list[tuple[str, str, str]]:

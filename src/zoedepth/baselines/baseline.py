@@ -1,5 +1,7 @@
 """A baseline behind the interface of ZoeDepth."""
 
+from abc import abstractmethod
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -29,9 +31,9 @@ class Baseline(DepthModel):
         self.config = config
         self.domain: Domain = config.domains[0]
 
+    @abstractmethod
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
         """Depth of normalised pixels, at any resolution."""
-        raise NotImplementedError  # abstract: each baseline gives its own
 
     def forward(
         self,

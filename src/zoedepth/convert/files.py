@@ -136,6 +136,7 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
+    # The last is what zipfile raises for versions and methods of zip that it does not know.
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
         raise InputError(f"{path} is damaged or not whole ({error}): download or copy it again") from error
     # torch never compresses; what is compressed could unfold to any size.

@@ -2,6 +2,7 @@
 
 import json
 import math
+from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from threading import Lock
@@ -36,9 +37,9 @@ class ExportedModel(DepthModel):
         """Pixels and depth are on the CPU, wherever the runtime computes."""
         return torch.device("cpu")
 
+    @abstractmethod
     def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
         """Outputs by name, of inputs by name."""
-        raise NotImplementedError  # abstract: each runtime says how
 
     def forward(
         self,

@@ -3,6 +3,7 @@
 The differences between families (tokens or maps, channels last or first, four strides or one) end here.
 """
 
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
 import torch
@@ -22,16 +23,16 @@ class EncoderFeatures(NamedTuple):
     """The class token beside each map, for encoders that have one."""
 
 
-class TimmEncoder(nn.Module):
+class TimmEncoder(nn.Module, ABC):
     """An encoder that is made of a timm network."""
 
+    @abstractmethod
     def load_timm(self, network: nn.Module) -> None:
         """Take the weights of timm's network of the same shape; what the encoder does not have of it stays out."""
-        raise NotImplementedError  # abstract: each kind of encoder knows where its weights go
 
+    @abstractmethod
     def checkpoint_gradients(self) -> None:
         """From now on the backward pass computes what is inside blocks or stages again, instead of keeping it."""
-        raise NotImplementedError  # abstract: blocks are checkpointed one by one, stages by timm
 
 
 class Encoder(TimmEncoder):

@@ -1,5 +1,6 @@
 """What all models of this package have in common: pixels in, :class:`DepthOutput` out."""
 
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,7 +46,7 @@ def depth_output(
     return DepthOutput(depth, relative, routing.domain, routing.logits, std, centers, probability, answer.supervision)
 
 
-class DepthModel(nn.Module):
+class DepthModel(nn.Module, ABC):
     """A model of metric depth: ``ZoeDepth``, or one of the baselines.
 
     Attributes:
@@ -68,6 +69,7 @@ class DepthModel(nn.Module):
         """Where the weights are."""
         return next(self.parameters()).device
 
+    @abstractmethod
     def forward(
         self,
         pixels: Float[Tensor, "batch 3 height width"],
@@ -87,7 +89,6 @@ class DepthModel(nn.Module):
         Raises:
             InputError: wrong shape or size, or a domain there is not.
         """
-        raise NotImplementedError  # abstract: ZoeDepth and Baseline say how
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Relative depth alone, of models that have it.
@@ -132,4 +133,4 @@ def build_network(config: AnyModelConfig) -> DepthModel:
     from zoedepth.model.zoedepth import ZoeDepth
 
     model = ZoeDepth(config) if isinstance(config, ModelConfig) else build_baseline(config)
-    return model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    return model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch takes it, its types do not
