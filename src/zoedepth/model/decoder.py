@@ -109,9 +109,10 @@ class Reassemble(nn.Module):
         self, x: Float[Tensor, "batch channels rows columns"], readout: Float[Tensor, "batch channels"]
     ) -> Float[Tensor, "batch output_channels _ _"]:
         """One map, given the class token beside it."""
-        tokens = x.flatten(2).transpose(1, 2)
-        tokens = torch.cat([tokens, readout[:, None].expand_as(tokens)], dim=2)
-        tokens = F.gelu(self.readout(tokens))
+        # MiDaS repeats the readout token beside every token. Its product is the same for all of them: half of the work.
+        of_tokens, of_readout = self.readout.weight.chunk(2, dim=1)
+        tokens = F.linear(x.flatten(2).transpose(1, 2), of_tokens)
+        tokens = F.gelu(tokens + F.linear(readout, of_readout, self.readout.bias)[:, None])
         return self.resample(self.project(tokens.transpose(1, 2).reshape(x.shape)))
 
 
