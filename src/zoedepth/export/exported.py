@@ -1,7 +1,6 @@
 """Running an exported file behind the interface of every model, so that ``Predictor`` takes it like any other."""
 
 import json
-import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -16,7 +15,8 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.convert.files import parse_json
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.export.wrapper import DOMAIN, INPUT, Exported
+from zoedepth.export.openvino_graph import specialized
+from zoedepth.export.wrapper import DOMAIN, INPUT, STD, Exported
 from zoedepth.model.interface import DepthModel, DepthOutput
 
 METADATA = "zoedepth"
@@ -38,8 +38,8 @@ class ExportedModel(DepthModel):
         return torch.device("cpu")
 
     @abstractmethod
-    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name."""
+    def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name; without the standard deviation, if there is one, unless it is wanted."""
 
     def forward(
         self,
@@ -60,7 +60,7 @@ class ExportedModel(DepthModel):
         inputs = {INPUT: pixels.float().contiguous().numpy()}
         if len(self.config.domains) > 1:
             inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.long().numpy()
-        found = {name: torch.from_numpy(x) for name, x in self.run(inputs).items()}
+        found = {name: torch.from_numpy(x) for name, x in self.run(inputs, std=return_std).items()}
         said = Exported(*(found.get(name) for name in Exported._fields))  # type: ignore[arg-type]  # depth is there
         taken = torch.zeros(len(pixels), dtype=torch.long)
         if said.domain_logits is not None:
@@ -87,19 +87,23 @@ class OnnxModel(ExportedModel):
         except Exception as error:  # its errors share no class
             raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}") from error
         self.names = [output.name for output in self.session.get_outputs()]
+        self.wanted_only = onnxruntime.RunOptions()
+        self.wanted_only.only_execute_path_to_fetches = True
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
 
-    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name."""
-        found: Any = self.session.run(self.names, dict(inputs))
-        return dict(zip(self.names, found, strict=True))
+    def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name; see ``ExportedModel``."""
+        names = [name for name in self.names if std or name != STD]
+        found: Any = self.session.run(names, dict(inputs), self.wanted_only)
+        return dict(zip(names, found, strict=True))
 
 
 class OpenVinoModel(ExportedModel):
     """An OpenVINO file, compiled for this processor.
 
     It is compiled for the first shape of pixels that comes, which is faster and needs less memory than a graph of any
-    shape; all other shapes share one of those, compiled when the first of them comes.
+    shape; all other shapes share one of those, compiled when the first of them comes. So it is with the standard
+    deviation and without it.
     """
 
     def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:
@@ -120,53 +124,28 @@ class OpenVinoModel(ExportedModel):
         except Exception as error:  # a RuntimeError of C++, mostly
             raise InputError(f"{path} cannot be read as OpenVINO: {str(error)[:300]}") from error
         self.lock = Lock()
-        self.compiled: dict[tuple[int, ...] | None, Any] = {}
+        self.first_shape: tuple[int, ...] | None = None
+        self.compiled: dict[tuple[bool, bool], Any] = {}
+        """By whether they take the first shape only, and whether they give the standard deviation."""
         super().__init__(metadata, path)
 
-    def run(self, inputs: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name. A request of its own: threads may share the model."""
-        compiled = self._compiled_for(inputs[INPUT].shape)
+    def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
+        """Outputs by name, of inputs by name; see ``ExportedModel``. A request of its own: threads may share it."""
+        compiled = self._compiled_for(inputs[INPUT].shape, std=std)
         results: Any = compiled.create_infer_request().infer(dict(inputs))
         return {output.get_any_name(): np.array(results[output]) for output in compiled.outputs}
 
-    def _compiled_for(self, shape: tuple[int, ...]) -> Any:
+    def _compiled_for(self, shape: tuple[int, ...], *, std: bool) -> Any:
         with self.lock:
-            key = shape if shape in self.compiled or not self.compiled else None
+            self.first_shape = self.first_shape or shape
+            key = (shape == self.first_shape, std)
             if key not in self.compiled:
                 try:
-                    graph = self.graph if key is None else _of_one_shape(self.graph, shape)
+                    graph = specialized(self.graph, shape=shape if key[0] else None, without=() if std else (STD,))
                     self.compiled[key] = self.core.compile_model(graph, "CPU", self.properties)
                 except Exception as error:  # a RuntimeError of C++, mostly
                     raise InputError(f"{self.path} cannot be compiled: {str(error)[:300]}") from error
             return self.compiled[key]
-
-
-def _of_one_shape(graph: Any, shape: tuple[int, ...]) -> Any:
-    """A copy that takes pixels of this shape only, sharing the weights."""
-    from openvino import opset13 as operators
-
-    fixed = graph.clone()
-    names = {port.get_any_name() for port in fixed.inputs}
-    fixed.reshape({INPUT: list(shape)} | ({DOMAIN: shape[:1]} if DOMAIN in names else {}))
-    # BEiT's position biases, which are looked up in small tables, depend on nothing but the shape now. They would be
-    # computed once and kept, 0.9 GB of them in BEiT-L: let them seem to depend on the pixels, by a zero.
-    lookups = [node for node in fixed.get_ops() if node.get_type_name() == "Gather" and _is_large(node)]
-    if lookups:
-        first = operators.gather(
-            operators.reshape(fixed.input(INPUT), operators.constant([-1]), False),
-            operators.constant([0]), operators.constant(0),
-        )  # fmt: skip
-        zero = operators.clamp(first, 0.0, 0.0)
-        for node in lookups:
-            index = node.input_value(1)
-            moved = operators.add(index, operators.convert(zero, index.get_element_type().to_string()))
-            node.input(1).replace_source_output(moved.output(0))
-    return fixed
-
-
-def _is_large(node: Any) -> bool:
-    shape = node.get_output_partial_shape(0)
-    return shape.is_static and math.prod(shape.to_shape()) > 1 << 18
 
 
 _SUFFIXES = (".onnx", ".xml")

@@ -23,6 +23,9 @@ INPUT = "pixel_values"
 DOMAIN = "domain"
 """Second input, of models with several heads: int64 (batch,), the head each image takes; -1 leaves it to the router."""
 
+STD = "std"
+"""Name of the output that is only computed when it is wanted, where the runtime allows."""
+
 
 class Exported(NamedTuple):
     """What an exported model gives; its outputs have these names. Those that a model has not are left out."""

@@ -18,6 +18,7 @@ from zoedepth import __version__
 from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetwork, to_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.export.exported import METADATA, load_exported
+from zoedepth.export.openvino_graph import make_products_unsigned
 from zoedepth.export.wrapper import DOMAIN, INPUT, Exported, ExportModel
 from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
@@ -205,7 +206,7 @@ def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) 
     transformer = isinstance(config, ModelConfig) and config.encoder.family != "convolutional"
     choice = {DOMAIN: np.array([-1])} if len(config.domains) > 1 else {}
     inputs = [{INPUT: _prepared(model, photo)} | choice for photo in photos]
-    return nncf.quantize(
+    quantized = nncf.quantize(
         converted,
         nncf.Dataset(inputs),
         subset_size=len(inputs),
@@ -214,6 +215,8 @@ def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) 
         # Nodes are named by the modules they are in.
         ignored_scope=nncf.IgnoredScope(patterns=["^(?!/(model|encoder|decoder|shared)/).*$"], validate=False),
     )
+    make_products_unsigned(quantized)
+    return quantized
 
 
 def _prepared(model: DepthModel, photo: str | Path) -> Any:
