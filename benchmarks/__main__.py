@@ -3,12 +3,13 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import depthwise, inference, peers, startup, synthetic
+from benchmarks import depthwise, inference, linear, peers, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
     "inference": inference.main,
     "depthwise": depthwise.main,
+    "linear": linear.main,
     "synthetic": synthetic.main,
     "peers": peers.main,
 }

@@ -10,6 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from zoedepth.config import EncoderConfig
 from zoedepth.errors import InputError
+from zoedepth.model.linear import replace_linear
 
 PATCH = 16
 """Side of a patch, pixels: the stride of the tokens."""
@@ -48,6 +49,7 @@ class BeitNetwork(nn.Module):
         # Blocks after the last tap are never used.
         blocks = list(network.blocks)[: config.taps[-1] + 1]
         self.blocks = nn.ModuleList(blocks)
+        replace_linear(self.blocks)
         rows = (2 * self.native_grid[0] - 1) * (2 * self.native_grid[1] - 1) + 3
         self.position_tables = nn.ParameterList(
             nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02)) for block in blocks

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from zoedepth.config import EncoderConfig
 from zoedepth.model.beit import PATCH, BeitNetwork
+from zoedepth.model.linear import replace_linear
 
 
 class EncoderFeatures(NamedTuple):
@@ -92,6 +93,7 @@ class PyramidNetwork(nn.Module):
         self.channels: tuple[int, ...] = tuple(self.stages.feature_info.channels())
         if config.family == "convolutional":
             replace_depthwise(self.stages)
+        replace_linear(self.stages)
 
     def load_timm(self, network: nn.Module) -> None:
         """Take the weights of timm's network of the same shape; its classifier, and what follows the maps, stay out."""
