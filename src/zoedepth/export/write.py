@@ -212,8 +212,10 @@ def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) 
         subset_size=len(inputs),
         preset=nncf.QuantizationPreset.MIXED,
         model_type=nncf.ModelType.TRANSFORMER if transformer else None,
-        # Nodes are named by the modules they are in.
-        ignored_scope=nncf.IgnoredScope(patterns=["^(?!/(model|encoder|decoder|shared)/).*$"], validate=False),
+        # Nodes are named by the modules they are in, but for transposed convolutions, which only decoders have.
+        ignored_scope=nncf.IgnoredScope(
+            patterns=["^(?!/(model|encoder|decoder|shared)/|ConvolutionBackpropData).*$"], validate=False
+        ),
     )
     make_products_unsigned(quantized)
     return quantized
