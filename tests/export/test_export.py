@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,6 +145,26 @@ def test_int8_is_close_on_the_photos_it_is_calibrated_on(tmp_path: Path):
     exact, rough = (Predictor(network, flip_average=False)(photos[0]) for network in (model, load_exported(path)))
     assert (np.abs(exact.depth - rough.depth) / exact.depth).mean() < 0.1
     assert not np.array_equal(exact.depth, rough.depth)
+
+
+def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(tiny_config: ModelConfig, tmp_path: Path):
+    import openvino
+
+    coarse = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    Image.fromarray(coarse).resize((96, 64)).save(tmp_path / "photo.png")
+    path = tmp_path / "model.xml"
+    export_model(beit(tiny_config, 2), path, to="openvino", int8=True, photos=[tmp_path / "photo.png"])
+    core: Any = openvino.Core()
+    found = {True: [], False: []}
+    for node in core.read_model(path).get_ops():
+        if node.get_type_name() in ("Convolution", "ConvolutionBackpropData", "MatMul"):
+            weight = node.input_value(1).get_node()
+            found[weight.get_type_name() == "Multiply"].append(node.get_friendly_name())  # 8 bits times a scale
+    exact = ("/attractors", "/probability", "/seed", "/router", "/MatMul")
+    assert all(name.startswith(exact) for name in found[False] if "attn" not in name)
+    assert not any(name.startswith(exact) for name in found[True])
+    assert sum("mlp/fc" in name for name in found[True]) == 2 * 4
+    assert sum("ConvolutionBackpropData" in name for name in found[True]) == 2
 
 
 def test_the_command_line_writes_and_reads_exported_files(tmp_path: Path, capsys: pytest.CaptureFixture):
