@@ -33,7 +33,8 @@ def silog(
     ``trainers/loss.py::SILogLoss``; beta = 0.15 is lambda = 0.85 of Eigen et al.)
 
     Args:
-        prediction, target: metres.
+        prediction: metres.
+        target: metres.
         mask: True where the target is known.
         beta: weight of the squared mean.
         eps: added before the logarithms.
