@@ -1,4 +1,4 @@
-"""The command line: :data:`COMMANDS` is the whole of it. Options are the signatures of the functions."""
+"""The command line: ``COMMANDS`` is the whole of it. Options are the signatures of the functions."""
 
 import sys
 from collections.abc import Callable, Sequence

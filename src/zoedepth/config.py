@@ -1,6 +1,6 @@
 """The configuration of a model: frozen dataclasses, written into every checkpoint as JSON.
 
-Only ``ZoeDepth.__init__`` reads a :class:`ModelConfig`; the modules below it take plain keywords. Nothing here imports
+Only ``ZoeDepth.__init__`` reads a ``ModelConfig``; the modules below it take plain keywords. Nothing here imports
 torch, so the command line can show and change configurations without waiting for it.
 """
 
@@ -292,7 +292,7 @@ ConfigType = TypeVar("ConfigType")
 
 
 def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: str = "config") -> ConfigType:
-    """The inverse of :func:`to_dict`. Where ``type`` is missing, it is the oldest: ZoeDepth, with attractors.
+    """The inverse of ``to_dict``. Where ``type`` is missing, it is the oldest: ZoeDepth, with attractors.
 
     Raises:
         InputError: a field is unknown, of the wrong type, or missing without having a default; the message names it.
@@ -301,10 +301,10 @@ def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: s
 
 
 def model_config_from_dict(values: Any, *, where: str = "config") -> AnyModelConfig:
-    """The config of any model, from :func:`to_dict`'s plain values.
+    """The config of any model, from ``to_dict``'s plain values.
 
     Raises:
-        InputError: see :func:`from_dict`.
+        InputError: see ``from_dict``.
     """
     return _build(AnyModelConfig, values, where)
 

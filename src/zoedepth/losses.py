@@ -70,7 +70,7 @@ def ordinal(
         edges: metres: where the intervals of each image begin and end.
         target: metres.
         mask: True where the target is known.
-        total: see :func:`silog`.
+        total: see ``silog``.
     """
     size = logits.shape[-2:]
     depth, known = (
@@ -85,7 +85,7 @@ def ordinal(
 def bins_chamfer(
     centers: Float[Tensor, "batch bins"], target: Map, mask: Mask, *, max_points: int = 2**14, total: Total = alone
 ) -> Float[Tensor, ""]:
-    """AdaBins' loss of bin centers: the :func:`chamfer` distance to the true depths of the image.
+    """AdaBins' loss of bin centers: the ``chamfer`` distance to the true depths of the image.
 
     The mean over the images, of all processes, of which any depth is known. (Bhat et al. 2021, Eq. 5; AdaBins
     ``loss.py::BinsChamferLoss``.)
@@ -95,7 +95,7 @@ def bins_chamfer(
         target: metres.
         mask: True where the target is known.
         max_points: an image with more known pixels is represented by so many of them, evenly spread.
-        total: see :func:`silog`.
+        total: see ``silog``.
     """
     losses = []
     counted = mask.flatten(1).any(dim=1)
@@ -121,7 +121,7 @@ def window_bins_chamfer(
     gamma: float = 0.3,
     total: Total = alone,
 ) -> Float[Tensor, ""]:
-    """LocalBins' loss of local histograms: the :func:`chamfer` distance of windows' bins to the true depths inside.
+    """LocalBins' loss of local histograms: the ``chamfer`` distance of windows' bins to the true depths inside.
 
     Windows count where more than half of their pixels are known. The mean over the windows of one size; over the sizes
     the mean with weights 1 for the smallest, gamma for the next, gamma ** 2, ..., but none for a size without windows
@@ -135,7 +135,7 @@ def window_bins_chamfer(
         mask: True where the target is known.
         n_sizes: number of sizes of windows.
         gamma: what the weights decrease by.
-        total: see :func:`silog`.
+        total: see ``silog``.
     """
     sums, counts = [], []
     for windows, *bins in zip(*(x.chunk(n_sizes, dim=1) for x in (boxes, *centers)), strict=True):
@@ -221,7 +221,7 @@ def scale_and_shift_invariant(
 ) -> tuple[Float[Tensor, " batch"], Bool[Tensor, " batch"]]:
     """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, of each image.
 
-    Both maps of an image are first freed of scale and shift by :func:`normalize_robust`. (Ranftl et al. 2020.)
+    Both maps of an image are first freed of scale and shift by ``normalize_robust``. (Ranftl et al. 2020.)
 
     Args:
         prediction: relative depth (inverse depth up to scale and shift).

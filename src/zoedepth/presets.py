@@ -84,7 +84,7 @@ _RELEASED_NK = replace(
 
 
 def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
-    """A config with another encoder of :data:`ENCODERS`, at the only size a Swin takes.
+    """A config with another encoder of ``ENCODERS``, at the only size a Swin takes.
 
     Raises:
         InputError: there is no such encoder.

@@ -22,7 +22,7 @@ from zoedepth.releases import RELEASES
 
 
 def available_models() -> list[str]:
-    """Names that :func:`load_model` can load without being given a file; all but the first kind are fetched once.
+    """Names that ``load_model`` can load without being given a file; all but the first kind are fetched once.
 
     ``zoedepth models`` says what each is, how large, under which licence, and whether it is on this machine.
     """
@@ -33,7 +33,7 @@ def load_model(name_or_path: str | Path, *, compat: Iterable[str] = ()) -> Depth
     """A model with its weights, in evaluation mode, float32, on the CPU.
 
     Args:
-        name_or_path: a name of :func:`available_models`; a file or folder, recognised by its content: ours, the
+        name_or_path: a name of ``available_models``; a file or folder, recognised by its content: ours, the
             original's ``ZoeD_M12_{N,K,NK}.pt``, MiDaS's ``dpt_beit_large_384.pt``, transformers' of either kind of
             names, the checkpoints of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs; or a Hugging Face id,
             ``"Intel/zoedepth-nyu-kitti"``.

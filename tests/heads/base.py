@@ -1,4 +1,4 @@
-"""What every metric head must do. A new head inherits :class:`HeadTester` and gives its configs."""
+"""What every metric head must do. A new head inherits ``HeadTester`` and gives its configs."""
 
 import io
 from dataclasses import fields, replace

@@ -1,4 +1,4 @@
-"""The systems the paper compares with, each as its authors built it, a file each; :data:`BASELINES` lists them."""
+"""The systems the paper compares with, each as its authors built it, a file each; ``BASELINES`` lists them."""
 
 from zoedepth.baselines.adabins import AdaBins
 from zoedepth.baselines.baseline import Baseline

@@ -16,7 +16,7 @@ IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class Baseline(DepthModel):
-    """A system the paper compares with. Subclasses build ``encoder`` and whatever follows, and give :meth:`predict`.
+    """A system the paper compares with. Subclasses build ``encoder`` and whatever follows, and give ``predict``.
 
     Attributes:
         mean, std: what the encoder was trained to see subtracted from, and divided out of, RGB in [0, 1].

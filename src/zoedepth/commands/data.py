@@ -27,7 +27,7 @@ _MOST_NAMED = 10
 
 
 def data(arguments: Sequence[str]) -> int:
-    """Run a sub-command of :data:`SUBCOMMANDS`."""
+    """Run a sub-command of ``SUBCOMMANDS``."""
     return tyro.extras.subcommand_cli_from_dict(SUBCOMMANDS, args=list(arguments), prog="zoedepth data")
 
 

@@ -1,6 +1,6 @@
 """Augmentations: functions of a sample and a random generator, the same for photo, target and mask.
 
-A list of them is applied in order by :func:`augment`. Those that move pixels keep the geometry honest: the target stays
+A list of them is applied in order by ``augment``. Those that move pixels keep the geometry honest: the target stays
 what the camera would have measured.
 """
 
@@ -45,7 +45,7 @@ def fit_crop(
         max_zoom: z is drawn log-uniformly from 1 to this.
         probability: share of the samples that are zoomed; the others have z = 1.
         scale_depth: divide depth by z. False is a change of focal length instead.
-        sparse: depth is known at scattered points, all of which are kept: see :func:`gather_points`.
+        sparse: depth is known at scattered points, all of which are kept: see ``gather_points``.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:

@@ -148,7 +148,7 @@ def contact_sheet(dataset: Samples, indices: Sequence[int]) -> ImageArray:
 
     Args:
         dataset: has at least one readable pair.
-        indices: pairs that can be read, as :func:`check` found; ``N_SHOWN`` of them are taken, evenly spread.
+        indices: pairs that can be read, as ``check`` found; ``N_SHOWN`` of them are taken, evenly spread.
     """
     pairs = [_panels(dataset[index]) for index in evenly(indices, N_SHOWN)]
     # Two pairs beside each other, but those of wide photos below each other.

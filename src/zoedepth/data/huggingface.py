@@ -71,7 +71,7 @@ def load_saved(folder: Path, *, split: str) -> "datasets.Dataset":
 
 
 class HuggingFaceDataset(Dataset[Sample]):
-    """Rows with a photo and its depth, as :class:`Sample` at their own size.
+    """Rows with a photo and its depth, as ``Sample`` at their own size.
 
     A photo is an ``Image`` in the column ``image`` or ``rgb``. Depth is in ``depth_map`` or ``depth``: an array
     (height, width), or an ``Image``, PNG or TIFF, of one channel. Floats are metres, whole numbers

@@ -51,7 +51,7 @@ def open_dataset(
         allow_missing: photos without depth are no error, where the format knows such.
         depth_scale: the stored value of one metre, where nobody says it.
         domain: scene type, where nobody says it.
-        use_masks: of a published set, see :class:`zoedepth.datasets.published.PublishedDataset`.
+        use_masks: of a published set, see ``zoedepth.datasets.published.PublishedDataset``.
 
     Raises:
         InputError: there is no such data, or it is not in order; the message says what is accepted.

@@ -13,7 +13,7 @@ the photo, pixels; the centre of the top left one is at (0, 0)). Other columns a
 
 JSON Lines (.jsonl) has an object with the same keys in each line; ``rgb`` stands for ``image`` and ``cam_in`` for the
 list [fx, fy, cx, cy]. The text lists of BTS (.txt) have lines ``photo depth focal``. And folders need no list at all,
-see :func:`zoedepth.data.folders.find_pairs`.
+see ``zoedepth.data.folders.find_pairs``.
 
 What is not said of each pair may stand once in ``dataset.json`` beside the list or in the folder:
 ``{"depth_scale": 1000, "domain": "indoor"}``, also with ``fx`` to ``cy``.
@@ -40,7 +40,7 @@ def find_list(folder: Path, split: str) -> Path | None:
 
 
 class PairDataset(Dataset[Sample]):
-    """The pairs of a list or a folder, as :class:`Sample` at their own size.
+    """The pairs of a list or a folder, as ``Sample`` at their own size.
 
     Args:
         path: a list (.csv, .jsonl, .txt); or a folder with one of the name of the split, or of pairs without a list.

@@ -1,6 +1,6 @@
 """Files of depth, disparity and masks as arrays, exactly as stored: what a value means is the data set's business.
 
-Every reader refuses a file that is damaged, or larger than a photo may be, with an :class:`InputError` that names it.
+Every reader refuses a file that is damaged, or larger than a photo may be, with an ``InputError`` that names it.
 """
 
 from pathlib import Path

@@ -1,6 +1,6 @@
 """Files of depth as people keep them, from disk or from memory: to arrays, and to samples.
 
-Every reader refuses what is damaged or larger than a photo may be with an :class:`InputError` that names it. Nothing is
+Every reader refuses what is damaged or larger than a photo may be with an ``InputError`` that names it. Nothing is
 unpickled.
 """
 

@@ -1,4 +1,4 @@
-"""The published data sets, one small class each. :data:`DATASETS` is the only list of them."""
+"""The published data sets, one small class each. ``DATASETS`` is the only list of them."""
 
 from zoedepth.datasets.apolloscape import ApolloScape
 from zoedepth.datasets.blendedmvs import BlendedMVS

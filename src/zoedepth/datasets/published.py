@@ -59,7 +59,7 @@ class Frame:
 
 
 class PublishedDataset(Dataset[Sample], ABC):
-    """A published data set in its official folder, as :class:`Sample` at the size of its depth.
+    """A published data set in its official folder, as ``Sample`` at the size of its depth.
 
     A set says what its frames are (``list_frames``) and what a file means (``read_target``); cropping, resizing and
     evaluation ranges are elsewhere.
@@ -101,7 +101,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         """The frames of ``self.split`` under ``self.root``, sorted or in the order of the set's own list.
 
         Raises:
-            InputError: a list or folder that must be there is not (:meth:`explain` makes the message).
+            InputError: a list or folder that must be there is not (``explain`` makes the message).
         """
 
     @abstractmethod

@@ -105,7 +105,7 @@ def predict(source: Source, sample: Sample, protocol: Protocol) -> tuple[Predict
 
 
 def read_scores(folder: Path) -> dict[int, Score]:
-    """All scores that processes have written into a folder, as in :class:`Results`."""
+    """All scores that processes have written into a folder, as in ``Results``."""
     return dict(sorted(_read(folder, None).items()))
 
 

@@ -35,7 +35,7 @@ def mri_datasets(rel: Mapping[str, float], reference: Mapping[str, float]) -> fl
         reference: data set → the reference's, of the same data sets.
 
     Raises:
-        InputError: no data set, not the same ones, or see :func:`relative_improvement`.
+        InputError: no data set, not the same ones, or see ``relative_improvement``.
     """
     if not rel or rel.keys() != reference.keys():
         raise InputError(f"need REL on the same data sets; got {sorted(rel)} and {sorted(reference)}")
@@ -54,7 +54,7 @@ def mri_metrics(metrics: Mapping[str, float], reference: Mapping[str, float]) ->
         reference: likewise → the reference's.
 
     Raises:
-        InputError: one of the three metrics is missing, or see :func:`relative_improvement`.
+        InputError: one of the three metrics is missing, or see ``relative_improvement``.
     """
     for scores in (metrics, reference):
         missing = [name for name in MRI_METRICS if name not in scores]

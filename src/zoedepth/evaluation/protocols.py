@@ -24,7 +24,7 @@ class Protocol:
     min_depth: float = 1e-3
     """Metres. Likewise, from below; 0 scores every positive depth."""
     crop: Crop = "none"
-    """Which part of the true depth is scored: see :func:`crop_mask`."""
+    """Which part of the true depth is scored: see ``crop_mask``."""
     kitti_crop: bool = False
     """First the photo and its depth are cut to their bottom centre 352x1216."""
     photo_size: tuple[int, int] | None = None

@@ -41,12 +41,12 @@ class Score:
     """Agreement of depth edges, where the truth is dense enough to have any."""
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, of which :meth:`from_json` makes the same again."""
+        """Plain values, of which ``from_json`` makes the same again."""
         return asdict(self)
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> "Score":
-        """The inverse of :meth:`to_json`."""
+        """The inverse of ``to_json``."""
         return cls(
             values["name"],
             values["domain"],

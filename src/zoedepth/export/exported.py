@@ -152,7 +152,7 @@ _SUFFIXES = (".onnx", ".xml")
 
 
 def is_exported(name_or_path: str | Path) -> bool:
-    """Whether :func:`load_exported` takes it, by its suffix."""
+    """Whether ``load_exported`` takes it, by its suffix."""
     return Path(name_or_path).suffix.lower() in _SUFFIXES
 
 

@@ -67,7 +67,7 @@ class ExportModel(nn.Module):
     def forward(
         self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
     ) -> tuple[Tensor, ...]:
-        """The fields of :class:`Exported` that there are, in order."""
+        """The fields of ``Exported`` that there are, in order."""
         return tuple(x for x in self.outputs(pixel_values, domain) if x is not None)
 
     def outputs(

@@ -1,4 +1,4 @@
-"""Metric heads. One file a head; :data:`HEADS` is the only list of them."""
+"""Metric heads. One file a head; ``HEADS`` is the only list of them."""
 
 from typing import NamedTuple
 
@@ -34,7 +34,7 @@ class HeadParts(NamedTuple):
     shared: type[nn.Module]
     """Once a model: decoder features to what all domains' heads, and the router, look at (``.bottleneck``)."""
     domain: type[nn.Module]
-    """Once a domain: the output of the shared part to a :class:`HeadOutput`."""
+    """Once a domain: the output of the shared part to a ``HeadOutput``."""
 
 
 HEADS: dict[type[HeadConfig], HeadParts] = {

@@ -1,7 +1,7 @@
 """The metric bins module: seed bins at the bottleneck, pulled by attractors on the way up (paper section 3.2).
 
-It comes in two parts. :class:`BinEmbedding` turns decoder features into bin embeddings and is shared by the domains;
-:class:`AttractorHead` turns embeddings into depth and exists once a domain (released ``zoedepth_nk_v1.py``).
+It comes in two parts. ``BinEmbedding`` turns decoder features into bin embeddings and is shared by the domains;
+``AttractorHead`` turns embeddings into depth and exists once a domain (released ``zoedepth_nk_v1.py``).
 """
 
 import math

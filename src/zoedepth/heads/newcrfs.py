@@ -35,7 +35,7 @@ def to_windows(
 def from_windows(
     x: Float[Tensor, "batch windows tokens channels"], size: tuple[int, int], window: int
 ) -> Float[Tensor, "batch rows columns channels"]:
-    """The inverse of :func:`to_windows`, given (rows, columns)."""
+    """The inverse of ``to_windows``, given (rows, columns)."""
     (rows, columns), (batch, _, _, channels) = size, x.shape
     x = x.reshape(batch, rows // window, columns // window, window, window, channels)
     return x.transpose(2, 3).reshape(batch, rows, columns, channels)

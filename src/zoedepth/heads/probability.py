@@ -44,7 +44,7 @@ def log_binomial(
     Args:
         q: place of the mode, 0 (first bin) to 1 (last bin).
         t: temperature, > 0; small is sharp.
-        coefficients: ln C(n, k) of :func:`log_binomial_coefficients`.
+        coefficients: ln C(n, k) of ``log_binomial_coefficients``.
 
     Returns:
         Probabilities in float32, summing to 1 over the bins, unimodal up to Stirling's error.
@@ -58,7 +58,7 @@ def log_binomial_terms(
     t: Float[Tensor, "batch 1 height width"],
     coefficients: Float[Tensor, " bins"],
 ) -> tuple[Float[Tensor, "batch 2 height width"], Float[Tensor, "1 bins 2"]]:
-    """The logits of :func:`log_binomial` as a product: two maps, and two columns over the bins, for all images.
+    """The logits of ``log_binomial`` as a product: two maps, and two columns over the bins, for all images.
 
     ln(q^k (1 - q)^(n - k)) = k (ln q - ln(1 - q)) + n ln(1 - q), and the softmax does not see the last term.
     """
@@ -180,7 +180,7 @@ class LogBinomial(nn.Module):
     def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
         """The distribution over bins at these centers, given maps that together have the channels.
 
-        See :func:`convolved`.
+        See ``convolved``.
         """
         hidden: Any = self.mlp[0]
         pairs = self.mlp[1:](convolved(hidden, maps)).float() + _PAIR_EPS
@@ -202,7 +202,7 @@ class Softmax(nn.Module):
     def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
         """The distribution over bins at these centers, given maps that together have the channels.
 
-        See :func:`convolved`.
+        See ``convolved``.
         """
         hidden: Any = self.mlp[0]
         last: Any = self.mlp[2]

@@ -1,7 +1,7 @@
 """LocalBins: seed bins at the bottleneck, each split into smaller ones at every level (Bhat et al. 2022).
 
 Written from the paper and from what LocalBins ``models/localbins.py`` computes. It is ZoeDepth's ablation "splitter"
-(paper Table 5) and its modified LocalBins (Table 2); :class:`BinProjectors`, :class:`BinSplitters`, and what is below
+(paper Table 5) and its modified LocalBins (Table 2); ``BinProjectors``, ``BinSplitters``, and what is below
 them, are those of the native LocalBins as well.
 """
 
@@ -169,7 +169,7 @@ def window_bins(
         splitters: of the head.
         boxes: of the windows.
         windows: their bottleneck and bin embeddings, one window a row.
-        domain, front_padding: see :func:`bin_centers`.
+        domain, front_padding: see ``bin_centers``.
     """
     if not windows:
         return None

@@ -24,7 +24,7 @@ class DecoderFeatures(NamedTuple):
 
 
 class DecoderChannels(NamedTuple):
-    """Channels of the maps in :class:`DecoderFeatures`, for the modules built on them."""
+    """Channels of the maps in ``DecoderFeatures``, for the modules built on them."""
 
     bottleneck: int
     levels: tuple[int, int, int, int]

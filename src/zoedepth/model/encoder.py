@@ -135,7 +135,7 @@ def load_features(stages: nn.Module, network: nn.Module) -> None:
 
 
 def replace_depthwise(network: nn.Module) -> None:
-    """Put a :class:`_Float32Training` twin in the place of each depthwise convolution."""
+    """Put a ``_Float32Training`` twin in the place of each depthwise convolution."""
     from timm.layers import Conv2dSame
 
     class Float32TrainingSame(_Float32Training, Conv2dSame):

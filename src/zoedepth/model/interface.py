@@ -1,4 +1,4 @@
-"""What all models of this package have in common: pixels in, :class:`DepthOutput` out."""
+"""What all models of this package have in common: pixels in, ``DepthOutput`` out."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path

@@ -38,7 +38,7 @@ class ConvolvedLinear(nn.Linear):
 
 
 def replace_linear(network: nn.Module) -> None:
-    """Put a :class:`ConvolvedLinear` with the same parameters in the place of each linear layer, where it is faster."""
+    """Put a ``ConvolvedLinear`` with the same parameters in the place of each linear layer, where it is faster."""
     if not products_are_slow():
         return
     for parent in list(network.modules()):

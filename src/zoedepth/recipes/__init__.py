@@ -1,4 +1,4 @@
-"""Recipes: functions that return the full configuration of a training run. :data:`RECIPES` is the only list of them."""
+"""Recipes: functions that return the full configuration of a training run. ``RECIPES`` is the only list of them."""
 
 from collections.abc import Callable
 from functools import partial

@@ -51,7 +51,7 @@ class ShardDataset(Dataset[Sample]):
             latter two. Without an index the headers are read once, which takes a second for some 10,000 samples.
         depth_scale: the stored value of one metre, for samples of which nobody says it.
         domain: for samples of which nobody says it.
-        cache: where shards from the web are kept; None: :func:`cache_folder`.
+        cache: where shards from the web are kept; None: ``cache_folder``.
 
     Raises:
         InputError: there are no shards, they are unfinished, damaged, or have samples that are none.

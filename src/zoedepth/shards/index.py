@@ -69,7 +69,7 @@ class Index:
 
     @classmethod
     def from_json(cls, content: bytes, where: str) -> "Index":
-        """The inverse of :meth:`to_json`.
+        """The inverse of ``to_json``.
 
         Raises:
             InputError: this is no index, or it contradicts itself.

@@ -20,7 +20,7 @@ class Material(NamedTuple):
     """What a part is made of."""
 
     pattern: str
-    """A function of :mod:`zoedepth.synthetic.textures`."""
+    """A function of ``zoedepth.synthetic.textures``."""
     color: Color
     second: Color = (0.5, 0.5, 0.5)
     """The pattern's other colour."""
@@ -82,7 +82,7 @@ _BLACK = Sky((0, 0, 0), (0, 0, 0), (0, 0, 0), 0, 0, 0)
 
 @dataclass
 class Scene:
-    """Parts and lights, added one by one; :meth:`arrays` has them all at once for the renderer."""
+    """Parts and lights, added one by one; ``arrays`` has them all at once for the renderer."""
 
     parts: list[tuple[str, Material, tuple[float, ...]]] = field(default_factory=list)
     """(shape, material, (centre x y z, size x y z, yaw, pitch, roll))."""

@@ -63,7 +63,7 @@ def plan(
     """Look at the data, and choose what fits it; also writes ``out/data.jpg``, a picture of it.
 
     Args:
-        data: NAME → SOURCE, whatever :func:`zoedepth.data.open.open_dataset` opens.
+        data: NAME → SOURCE, whatever ``zoedepth.data.open.open_dataset`` opens.
         init: model to start from, for ``load_model``.
         out: the run's folder.
         domain: scene type of photos whose data says none.

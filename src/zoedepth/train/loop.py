@@ -36,8 +36,8 @@ class Run:
         part: the part of the model that is trained; the network of the run.
         data: NAME of a source of the recipe → where its data is.
         out: the run's folder.
-        init: starting weights, see :func:`zoedepth.train.start.start_from`; not read when resuming.
-        devices, n_nodes: processes on each machine, machines; see :func:`zoedepth.train.processes.launch_fabric`.
+        init: starting weights, see ``zoedepth.train.start.start_from``; not read when resuming.
+        devices, n_nodes: processes on each machine, machines; see ``zoedepth.train.processes.launch_fabric``.
     """
 
     def __init__(
@@ -123,7 +123,7 @@ class Run:
         """Backward; after the last batch of a step: clip, optimizer step, moving average, log, validate, checkpoint.
 
         Args:
-            loss: the same on all processes, see :func:`zoedepth.train.processes.total`.
+            loss: the same on all processes, see ``zoedepth.train.processes.total``.
             batch: what it was made of.
             numbers: what to log of it.
 

@@ -23,7 +23,7 @@ def train_metric(
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
-    """Train, or go on with what is in ``out``; returns the last checkpoint. For the arguments see :class:`Run`."""
+    """Train, or go on with what is in ``out``; returns the last checkpoint. For the arguments see ``Run``."""
     with Run(config, part=lambda model: model, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
         for batch in run.batches():
             output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)

@@ -44,7 +44,7 @@ def train_relative(
 ) -> Path:
     """Train, or go on with what is in ``out``; returns the last checkpoint, with which stage 2 can start.
 
-    Data of depth and of disparity are both welcome. For the arguments see :class:`Run`.
+    Data of depth and of disparity are both welcome. For the arguments see ``Run``.
     """
     with Run(config, part=RelativeModel, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
         state = run.state
