@@ -64,11 +64,26 @@ def test_a_model_keeps_its_depth_its_keys_and_its_file(
 
 
 @pytest.mark.parametrize(
-    ("about", "slow"), [("vendor_id\t: AuthenticAMD\n", True), ("vendor_id\t: GenuineIntel\n", False)]
+    ("about", "instructions", "slow"),
+    [
+        ("vendor_id\t: AuthenticAMD\n", None, True),
+        ("vendor_id\t: GenuineIntel\n", None, False),
+        ("vendor_id\t: GenuineIntel\n", "AVX2", True),
+        ("vendor_id\t: GenuineIntel\n", "AVX512_E1", False),
+    ],
 )
-def test_the_maker_of_the_processor_decides(about: str, slow: bool, monkeypatch: pytest.MonkeyPatch):
+def test_the_maker_of_the_processor_decides(
+    about: str, instructions: str | None, slow: bool, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(Path, "read_text", lambda path: about)
     monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: True)
+    if instructions is None:
+        monkeypatch.delenv("MKL_ENABLE_INSTRUCTIONS", raising=False)
+    else:
+        monkeypatch.setenv("MKL_ENABLE_INSTRUCTIONS", instructions)
     products_are_slow.cache_clear()
     assert products_are_slow() is slow
+    monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
+    products_are_slow.cache_clear()
+    assert products_are_slow() is False
     products_are_slow.cache_clear()
