@@ -87,14 +87,12 @@ class OnnxModel(ExportedModel):
         except Exception as error:  # its errors share no class
             raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}") from error
         self.names = [output.name for output in self.session.get_outputs()]
-        self.wanted_only = onnxruntime.RunOptions()
-        self.wanted_only.only_execute_path_to_fetches = True
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Outputs by name, of inputs by name; see ``ExportedModel``."""
         names = [name for name in self.names if std or name != STD]
-        found: Any = self.session.run(names, dict(inputs), self.wanted_only)
+        found: Any = self.session.run(names, dict(inputs))
         return dict(zip(names, found, strict=True))
 
 
