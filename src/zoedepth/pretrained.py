@@ -5,7 +5,7 @@ import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from safetensors.torch import save
@@ -16,7 +16,7 @@ from zoedepth.convert.checkpoint import Checkpoint, read_checkpoint, write_check
 from zoedepth.convert.keys import shown
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel, build_network, channels_last
 from zoedepth.presets import PRESETS, with_compat
 from zoedepth.releases import RELEASES
 
@@ -125,7 +125,7 @@ def build_model(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[
     if broken := [name_in_file(name) for name, value in floats.items() if not value.isfinite().all()]:
         raise InputError(f"the weights in {source} are not finite: {shown(broken)}")
     model.load_state_dict(floats, assign=True)
-    return _with_buffers(model).to(memory_format=torch.channels_last).eval()  # type: ignore[call-overload]  # see build_network
+    return channels_last(_with_buffers(model)).eval()
 
 
 def misfits(expected: dict[str, Tensor], weights: dict[str, Tensor]) -> list[tuple[str, str, str]]:
@@ -158,8 +158,8 @@ def _with_buffers(model: DepthModel) -> DepthModel:
         parent, _, attribute = name.rpartition(".")
         setattr(model.get_submodule(parent), attribute, torch.empty_like(buffer, device="cpu"))
     for name in modules:
-        module = model.get_submodule(name)
-        module.init_non_persistent_buffers()  # type: ignore[operator]  # timm's method, and our LogBinomial's
+        module: Any = model.get_submodule(name)
+        module.init_non_persistent_buffers()  # timm's method, and our LogBinomial's
     return model
 
 

@@ -20,6 +20,7 @@ from zoedepth.config import Domain, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
 from zoedepth.export.exported import OpenVinoModel
+from zoedepth.export.openvino_graph import LARGE
 from zoedepth.export.write import ExportError
 from zoedepth.model.interface import DepthModel, build_network
 from zoedepth.model.zoedepth import ZoeDepth
@@ -210,7 +211,7 @@ def test_openvino_compiles_for_the_first_shape_and_once_more_for_all_others(tiny
     assert exported.first_shape == sizes[0]
     assert set(exported.compiled) == {(True, False), (False, False)}
     biases = 4 * (18 * 22 + 1) ** 2
-    assert biases > 1 << 18
+    assert biases > LARGE
 
 
 def test_what_cannot_be_traced_is_said(tmp_path: Path):

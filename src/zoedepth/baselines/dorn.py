@@ -50,7 +50,8 @@ class Dorn(Baseline):
         for layer in self.decoder.modules():
             if isinstance(layer, nn.Conv2d | nn.Linear):
                 nn.init.kaiming_uniform_(layer.weight, nonlinearity="linear")  # what Caffe calls xavier
-                nn.init.zeros_(layer.bias)  # type: ignore[arg-type]  # there is a bias
+                if layer.bias is not None:
+                    nn.init.zeros_(layer.bias)
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
         """Depth of normalised pixels, at their resolution."""

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -178,7 +178,7 @@ def _content(source: str) -> str | None:
 
 
 def _protocols(
-    sets: "Mapping[str, DepthDataset]", wanted: Sequence[str], changes: Mapping[str, object]
+    sets: "Mapping[str, DepthDataset]", wanted: Sequence[str], changes: Mapping[str, Any]
 ) -> dict[str, dict[str, Protocol]]:
     """Data set → domain → protocol. The one given for a data set goes before the one for all, and that before the
     paper's for a published set in its official folder."""
@@ -192,7 +192,7 @@ def _protocols(
         chosen = given.get(name) or given.get("")
         chosen = chosen or (PROTOCOLS.get(name) if isinstance(dataset, PublishedDataset) else None)
         used = {domain: chosen or protocol_of(domain) for domain in dataset.domains}
-        found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}  # type: ignore[arg-type]  # a dict of fields
+        found[name] = {domain: replace(protocol, **changes) for domain, protocol in used.items()}
     return found
 
 

@@ -136,8 +136,7 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
-    # The last is what zipfile raises for versions and methods of zip that it does not know.
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError) as error:  # the last: a kind of zip it does not know
         raise InputError(f"{path} is damaged or not whole ({error}): download or copy it again") from error
     # torch never compresses; what is compressed could unfold to any size.
     if any(entry.compress_type != zipfile.ZIP_STORED for entry in entries) or sum(e.file_size for e in entries) > size:

@@ -79,10 +79,8 @@ def examples(
     Returns:
         None where nothing was scored.
     """
-    ranked = sorted(
-        (i for i, score in scores.items() if score.sums is not None),
-        key=lambda i: scores[i].sums.metrics().rel,  # type: ignore[union-attr]  # scored ones only
-    )
+    rel = {i: score.sums.metrics().rel for i, score in scores.items() if score.sums is not None}
+    ranked = sorted(rel, key=rel.__getitem__)
     if not ranked:
         return None
     chosen = dict.fromkeys((ranked[0], ranked[len(ranked) // 2], ranked[-1]))

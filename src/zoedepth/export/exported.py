@@ -61,7 +61,7 @@ class ExportedModel(DepthModel):
         if len(self.config.domains) > 1:
             inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.long().numpy()
         found = {name: torch.from_numpy(x) for name, x in self.run(inputs, std=return_std).items()}
-        said = Exported(*(found.get(name) for name in Exported._fields))  # type: ignore[arg-type]  # depth is there
+        said = Exported(found["predicted_depth"], found.get(STD), found.get("domain_logits"))
         taken = torch.zeros(len(pixels), dtype=torch.long)
         if said.domain_logits is not None:
             taken = said.domain_logits.argmax(dim=1) if domain is None else domain.long()

@@ -1,6 +1,7 @@
 """The naive head: depth straight from the decoder features, without bins (paper Table 5)."""
 
 import math
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -25,7 +26,8 @@ class NaiveHead(nn.Module):
         nn.init.normal_(self.conv2.weight, std=_INITIAL_STD)
         # The inverse of softplus.
         initial = config.initial_depth + math.log(-math.expm1(-config.initial_depth))
-        nn.init.constant_(self.conv2.bias, initial)  # type: ignore[arg-type]  # there is a bias
+        bias: Any = self.conv2.bias
+        nn.init.constant_(bias, initial)
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
         """Depth in metres, without an upper bound, at the size of ``features.last``."""

@@ -1,6 +1,6 @@
 """The DPT decoder: reassemble, four fusion levels, relative head (paper section 3.2; MiDaS ``dpt_depth.py``)."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -161,7 +161,8 @@ class RelativeHead(nn.Module):
         self.conv2 = nn.Conv2d(width // 2, features, kernel_size=3, padding=1)
         self.conv3 = nn.Conv2d(features, 1, kernel_size=1)
         # A ReLU ends the head: were the first relative depth negative everywhere, its gradient would be 0 for ever.
-        nn.init.constant_(self.conv3.bias, 0.5)  # type: ignore[arg-type]  # there is a bias
+        bias: Any = self.conv3.bias
+        nn.init.constant_(bias, 0.5)
 
     def forward(
         self, x: Float[Tensor, "batch width _ _"]

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -133,4 +133,10 @@ def build_network(config: AnyModelConfig) -> DepthModel:
     from zoedepth.model.zoedepth import ZoeDepth
 
     model = ZoeDepth(config) if isinstance(config, ModelConfig) else build_baseline(config)
-    return model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch takes it, its types do not
+    return channels_last(model)
+
+
+def channels_last(model: DepthModel) -> DepthModel:
+    """The model with the weights of its convolutions in the memory format that all its maps have."""
+    module: Any = model  # torch's types leave this argument out
+    return module.to(memory_format=torch.channels_last)

@@ -4,6 +4,7 @@ import functools
 import os
 import platform
 from pathlib import Path
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -46,9 +47,10 @@ def replace_linear(network: nn.Module) -> None:
     """Put a ``ConvolvedLinear`` with the same parameters in the place of each linear layer, where it is faster."""
     if not products_are_slow():
         return
-    for parent in list(network.modules()):
+    modules: list[Any] = list(network.modules())
+    for parent in modules:
         if hasattr(parent, "qkv_bias_separate"):  # timm's attention calls its layer then, not only for its weight
-            parent.qkv_bias_separate = True  # type: ignore[assignment]  # a plain attribute
+            parent.qkv_bias_separate = True
         for name, linear in parent.named_children():
             if type(linear) is nn.Linear:
                 twin = ConvolvedLinear(linear.in_features, linear.out_features, bias=False, device="meta")

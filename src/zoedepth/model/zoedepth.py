@@ -1,6 +1,6 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
-from typing import Any, TypeVar
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -118,15 +118,12 @@ def _take(features: Any, rows: Int[Tensor, " rows"]) -> Any:
     ))  # fmt: skip
 
 
-Tree = TypeVar("Tree")
-
-
-def _stitch(parts: list[Tree], order: Int[Tensor, " batch"]) -> Tree:
+def _stitch(parts: list[Any], order: Int[Tensor, " batch"]) -> Any:
     """What was said of groups of images, tensors in tuples of tuples, back in the order of the batch."""
     first = parts[0]
     if isinstance(first, Tensor):
-        return torch.cat(parts)[order]  # type: ignore[arg-type]  # all are tensors if one is
+        return torch.cat(parts)[order]
     if not isinstance(first, tuple):
         return first  # nothing: None
-    fields = [_stitch(list(field), order) for field in zip(*parts, strict=True)]  # type: ignore[arg-type]  # tuples
+    fields = [_stitch(list(field), order) for field in zip(*parts, strict=True)]
     return type(first)(*fields) if hasattr(first, "_fields") else type(first)(fields)

@@ -145,7 +145,7 @@ class _Group:
 def _groups(path: Path) -> Iterator[_Group]:
     group = None
     try:
-        with path.open("rb") as file, tarfile.open(fileobj=_Bounded(file), mode="r:") as archive:  # type: ignore[arg-type]  # as much of a file as it uses
+        with path.open("rb") as file, _open_tar(file) as archive:
             while (member := archive.next()) is not None:
                 archive.members = []  # it would keep them all
                 name = split_name(member.name) if member.isreg() and not member.issparse() else None
@@ -167,6 +167,12 @@ def _groups(path: Path) -> Iterator[_Group]:
         raise InputError(f"{path} is no tar file, compressed, or damaged ({error})") from error
     if group is not None:
         yield group
+
+
+def _open_tar(file: IO[bytes]) -> Any:
+    """A ``TarFile``, whose list of members its types leave out."""
+    bounded: Any = _Bounded(file)  # as much of a file as tarfile uses
+    return tarfile.open(fileobj=bounded, mode="r:")
 
 
 class _Bounded:

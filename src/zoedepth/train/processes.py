@@ -69,7 +69,8 @@ def total(x: Tensor) -> Tensor:
     DDP averages the gradients of the processes. A loss made of such sums is the same everywhere, and the average of its
     gradients is what one process with the whole batch would have got.
     """
-    return _Total.apply(x) if several_processes() else x  # type: ignore[return-value]  # torch does not say what apply returns
+    function: Any = _Total  # torch does not say what its apply returns
+    return function.apply(x) if several_processes() else x
 
 
 @contextmanager

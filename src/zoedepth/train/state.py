@@ -36,7 +36,10 @@ class TrainState:
     @property
     def result(self) -> DepthModel:
         """The model to validate and to ship: the averaged one where there is one."""
-        return self.model if self.ema is None else self.ema.module  # type: ignore[return-value]  # a copy of model
+        if self.ema is None:
+            return self.model
+        averaged: Any = self.ema.module  # a copy of the model
+        return averaged
 
     def save(self, folder: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> Path:
         """Write ``folder/step_000123/{model.safetensors, train.pt, meta.json}``, whole or not at all.
