@@ -18,7 +18,7 @@ from pathlib import Path
 import torch
 import tyro
 
-from zoedepth.pretrained import load_model
+from zoedepth.weights.load import load_model
 
 SYSTEMS: dict[str, tuple[str, list[str]]] = {
     "attractor (zoed-lite's values)": ("comparison", []),

@@ -22,12 +22,13 @@ import torch
 import tyro
 from torch import Tensor, nn
 
+from zoedepth.build import build_model
 from zoedepth.config import HEAD_CONFIGS, INDOOR, AnyModelConfig
 from zoedepth.data.sample import Batch
-from zoedepth.heads import HEADS
-from zoedepth.heads.output import HeadOutput
 from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
-from zoedepth.model.interface import DepthOutput, build_network
+from zoedepth.model.heads import HEADS
+from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.interface import DepthOutput
 from zoedepth.presets import BASELINES, ZOED_LITE
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses
@@ -114,7 +115,7 @@ class _Head(nn.Module):
 
 
 def _network(name: str) -> nn.Module:
-    return _Head(name) if name in HEAD_CONFIGS else build_network(BASELINES[name])
+    return _Head(name) if name in HEAD_CONFIGS else build_model(BASELINES[name])
 
 
 def _inputs(name: str, *, batch: int, small: bool) -> Tensor | DecoderFeatures:

@@ -116,12 +116,12 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
     """The weights in the layouts of all, made once."""
     import torch
 
-    from zoedepth.convert.checkpoint import write_checkpoint
+    from zoedepth.build import build_model
     from zoedepth.export import export_model
     from zoedepth.images import IMAGE_SUFFIXES, write_image
-    from zoedepth.model.interface import build_network
     from zoedepth.presets import PRESETS
-    from zoedepth.pretrained import checkpoint_of, load_model, save_model
+    from zoedepth.weights.checkpoint import write_checkpoint
+    from zoedepth.weights.load import checkpoint_of, load_model, save_model
 
     files = {
         "weights": out / f"{model}.safetensors",
@@ -132,7 +132,7 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
     }
     if not files["weights"].exists():
         torch.manual_seed(0)
-        save_model(build_network(PRESETS[model]).eval(), files["weights"])
+        save_model(build_model(PRESETS[model]).eval(), files["weights"])
     network = load_model(files["weights"])
     if not files["transformers"].exists():
         write_checkpoint(checkpoint_of(network), files["transformers"], to="huggingface")

@@ -24,7 +24,7 @@ from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.scoring import aligned_depth, scored_pixels
 from zoedepth.metrics import Sums, mean_metrics, pixel_sums, pooled_metrics
-from zoedepth.pretrained import load_model
+from zoedepth.weights.load import load_model
 
 SWITCHES: dict[str, Mapping[str, object]] = {
     "as is": {},

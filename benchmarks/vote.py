@@ -19,7 +19,7 @@ from zoedepth.evaluation.protocols import PROTOCOLS
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
-from zoedepth.pretrained import load_model
+from zoedepth.weights.load import load_model
 
 
 def main(*, indoor: Path, outdoor: Path, model: str = "zoed-lite", pairs: int = 38) -> None:

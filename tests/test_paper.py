@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from zoedepth.heads.attractor import attract, exponential_attractor, inverse_attractor, normed_centers
-from zoedepth.heads.probability import LogBinomial, expected_depth, log_binomial, log_binomial_coefficients
 from zoedepth.model.beit import relative_position_index, resize_position_table
+from zoedepth.model.heads.attractor import attract, exponential_attractor, inverse_attractor, normed_centers
+from zoedepth.model.heads.probability import LogBinomial, expected_depth, log_binomial, log_binomial_coefficients
 
 
 def random_numbers(*shape: int, low: float = 0.0, high: float = 1.0) -> torch.Tensor:

@@ -10,8 +10,8 @@ from PIL import Image
 from tests.twins import KITTI, NYU, twin, twin_config
 
 from zoedepth.cli import main
-from zoedepth.convert import huggingface
-from zoedepth.convert.checkpoint import Checkpoint, write_checkpoint
+from zoedepth.weights.checkpoint import Checkpoint, write_checkpoint
+from zoedepth.weights.layouts import huggingface
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

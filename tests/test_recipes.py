@@ -10,19 +10,19 @@ from tests.folders import write_disparity_pairs, write_pairs
 from zoedepth.config import (
     AnyModelConfig,
     BaselineConfig,
-    BtsNetwork,
+    BtsNetworkConfig,
     ModelConfig,
     NewCrfsConfig,
-    NewCrfsNetwork,
+    NewCrfsNetworkConfig,
     from_dict,
     to_dict,
 )
 from zoedepth.presets import BASELINES, PRESETS
-from zoedepth.pretrained import load_model
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import train_relative
+from zoedepth.weights.load import load_model
 
 
 @pytest.mark.parametrize("name", RECIPES)
@@ -55,9 +55,9 @@ def _tiny(model: AnyModelConfig, tiny: ModelConfig) -> AnyModelConfig:
         return dataclasses.replace(model, encoder=tiny.encoder, decoder=tiny.decoder, head=head, size=(64, 96))
     size = (65, 97) if model.one_size else (64, 96)
     network = dataclasses.replace(model.network, encoder="tf_efficientnet_lite0")
-    if isinstance(network, NewCrfsNetwork):
+    if isinstance(network, NewCrfsNetworkConfig):
         network = dataclasses.replace(network, widths=(32, 16, 16, 8), attention_heads=(4, 2, 2, 1))
-    if isinstance(network, BtsNetwork):
+    if isinstance(network, BtsNetworkConfig):
         network = dataclasses.replace(network, width=128)
     return dataclasses.replace(model, network=network, size=size)
 

@@ -14,13 +14,13 @@ from tests.servers import FileServer
 
 from zoedepth import torchhub
 from zoedepth.config import DecoderConfig, ModelConfig
-from zoedepth.convert.checkpoint import write_checkpoint
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
-from zoedepth.pretrained import checkpoint_of
 from zoedepth.sizes import network_size
 from zoedepth.torchhub import OriginalInterface
+from zoedepth.weights.checkpoint import write_checkpoint
+from zoedepth.weights.load import checkpoint_of
 
 REPO = Path(__file__).parents[1]
 ENTRIES = {"ZoeD_N": "zoed-m12-n", "ZoeD_K": "zoed-m12-k", "ZoeD_NK": "zoed-m12-nk"}

@@ -9,7 +9,7 @@ from zoedepth.commands.demo import motorcycle_depth
 from zoedepth.metrics import compute_metrics
 from zoedepth.predict import DepthMap
 from zoedepth.presets import PRESETS
-from zoedepth.releases import RELEASES
+from zoedepth.weights.releases import RELEASES
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,12 @@ Names are imported when first used, so that ``import zoedepth`` costs almost not
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from zoedepth.build import build_model
     from zoedepth.config import ModelConfig
     from zoedepth.errors import InputError, ZoeDepthError
     from zoedepth.model.interface import DepthModel, DepthOutput
-    from zoedepth.model.zoedepth import ZoeDepth
     from zoedepth.predict import DepthMap, Predictor
-    from zoedepth.pretrained import available_models, load_model, push_to_hub, save_model
+    from zoedepth.weights.load import ZoeDepth, available_models, load_model, push_to_hub, save_model
 
 __version__ = "0.1.0"
 
@@ -29,6 +29,7 @@ __all__ = [
     "ZoeDepth",
     "ZoeDepthError",
     "available_models",
+    "build_model",
     "load_model",
     "push_to_hub",
     "save_model",
@@ -37,7 +38,9 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     # Literal imports, so that type checkers and readers see what each name is.
-    if name == "ModelConfig":
+    if name == "build_model":
+        from zoedepth.build import build_model as value
+    elif name == "ModelConfig":
         from zoedepth.config import ModelConfig as value
     elif name in ("InputError", "ZoeDepthError"):
         from zoedepth import errors
@@ -47,16 +50,14 @@ def __getattr__(name: str) -> object:
         from zoedepth.model import interface
 
         value = getattr(interface, name)
-    elif name == "ZoeDepth":
-        from zoedepth.model.zoedepth import ZoeDepth as value
     elif name in ("DepthMap", "Predictor"):
         from zoedepth import predict
 
         value = getattr(predict, name)
-    elif name in ("available_models", "load_model", "push_to_hub", "save_model"):
-        from zoedepth import pretrained
+    elif name in ("ZoeDepth", "available_models", "load_model", "push_to_hub", "save_model"):
+        from zoedepth.weights import load
 
-        value = getattr(pretrained, name)
+        value = getattr(load, name)
     else:
         raise AttributeError(f"module 'zoedepth' has no attribute {name!r}")
     globals()[name] = value

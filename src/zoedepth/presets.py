@@ -6,23 +6,23 @@ from dataclasses import replace
 from zoedepth.config import (
     INDOOR,
     OUTDOOR,
-    AdaBinsNetwork,
+    AdaBinsNetworkConfig,
     AnyModelConfig,
     AttractorConfig,
     BaselineConfig,
-    BtsNetwork,
+    BtsNetworkConfig,
     DecoderConfig,
-    DornNetwork,
+    DornNetworkConfig,
     EncoderConfig,
-    LocalBinsNetwork,
+    LocalBinsNetworkConfig,
     ModelConfig,
     NetworkConfig,
-    NewCrfsNetwork,
-    PixelBinsNetwork,
+    NewCrfsNetworkConfig,
+    PixelBinsNetworkConfig,
     RouterConfig,
 )
+from zoedepth.config.heads import HEAD_CONFIGS
 from zoedepth.errors import InputError
-from zoedepth.head_config import HEAD_CONFIGS
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -163,11 +163,11 @@ PRESETS: dict[str, ModelConfig] = {
 
 _ANY = replace(OUTDOOR, name="any")
 _NATIVE: dict[str, NetworkConfig] = {
-    "bts": BtsNetwork(),
-    "adabins": AdaBinsNetwork(),
-    "localbins": LocalBinsNetwork(),
-    "pixelbins": PixelBinsNetwork(),
-    "newcrfs": NewCrfsNetwork(),
+    "bts": BtsNetworkConfig(),
+    "adabins": AdaBinsNetworkConfig(),
+    "localbins": LocalBinsNetworkConfig(),
+    "pixelbins": PixelBinsNetworkConfig(),
+    "newcrfs": NewCrfsNetworkConfig(),
 }
 
 BASELINES: dict[str, BaselineConfig] = {
@@ -176,11 +176,11 @@ BASELINES: dict[str, BaselineConfig] = {
     # Trained on both, as in the paper's Table 2.
     **{f"{name}-nk": BaselineConfig(network, domains=(_ANY,)) for name, network in _NATIVE.items()},
     # DORN's layer over the whole photo has one size, and its intervals fit one range.
-    "dorn-n": BaselineConfig(DornNetwork(), domains=(INDOOR,), size=(257, 353)),
+    "dorn-n": BaselineConfig(DornNetworkConfig(), domains=(INDOOR,), size=(257, 353)),
     "dorn-k": BaselineConfig(
-        DornNetwork(n_intervals=71, rates=(6, 12, 18), pooling=16), domains=(OUTDOOR,), size=(385, 513)
+        DornNetworkConfig(n_intervals=71, rates=(6, 12, 18), pooling=16), domains=(OUTDOOR,), size=(385, 513)
     ),
-    "dorn-nk": BaselineConfig(DornNetwork(n_intervals=80), domains=(_ANY,), size=(257, 353)),
+    "dorn-nk": BaselineConfig(DornNetworkConfig(n_intervals=80), domains=(_ANY,), size=(257, 353)),
 }
 """Name → architecture of the baselines, as published, for NYU (n), KITTI (k) and both (nk)."""
 

@@ -10,12 +10,16 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
+from zoedepth.build import build_model
 from zoedepth.config import AnyModelConfig, AttractorConfig, ModelConfig
+from zoedepth.download import download
 from zoedepth.errors import InputError
 from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor, resize_pixels
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
+from zoedepth.weights.load import load_model
+from zoedepth.weights.releases import download_folder
 
 MIDAS_MODELS = {
     "DPT_BEiT_L_384": "beit_large_patch16_384",
@@ -154,7 +158,7 @@ def build(
         compat = (*compat, "squeeze")
     config = with_encoder(PRESETS[preset], MIDAS_MODELS[midas_model_type])
     if not pretrained:
-        return OriginalInterface(build_network(with_compat(config, compat)).eval())
+        return OriginalInterface(build_model(with_compat(config, compat)).eval())
     if ENCODERS[MIDAS_MODELS[midas_model_type]] != PRESETS[preset].encoder:
         raise InputError(f"pretrained weights are of DPT_BEiT_L_384 only, not of {midas_model_type}")
     model = _load(preset if pretrained is True else pretrained, compat)
@@ -166,10 +170,6 @@ def build(
 
 
 def _load(source: str, compat: tuple[str, ...]) -> DepthModel:
-    from zoedepth.download import download
-    from zoedepth.pretrained import load_model
-    from zoedepth.releases import download_folder
-
     source = source.removeprefix("local::").removeprefix("url::")
     if source.startswith(("http://", "https://")):
         source = str(download(source, download_folder() / Path(urlparse(source).path).name))

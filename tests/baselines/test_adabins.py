@@ -1,13 +1,13 @@
 import pytest
 import torch
 
-from zoedepth.config import AdaBinsNetwork, BaselineConfig
-from zoedepth.model.interface import build_network
+from zoedepth.build import build_model
+from zoedepth.config import AdaBinsNetworkConfig, BaselineConfig
 
 
 def test_it_has_the_published_number_of_parameters():
     with torch.device("meta"):
-        model = build_network(BaselineConfig(AdaBinsNetwork()))
+        model = build_model(BaselineConfig(AdaBinsNetworkConfig()))
     n_parameters = sum(p.numel() for p in model.parameters())
     assert n_parameters == 78_253_232
     assert n_parameters == pytest.approx(78e6, rel=0.03)
@@ -15,7 +15,7 @@ def test_it_has_the_published_number_of_parameters():
 
 def test_transformer_is_the_published_one():
     with torch.device("meta"):
-        bins = build_network(BaselineConfig(AdaBinsNetwork())).bins
+        bins = build_model(BaselineConfig(AdaBinsNetworkConfig())).bins
     assert len(bins.tokens.transformer.layers) == 4
     assert bins.tokens.positions.shape == (500, 128)
     assert bins.tokens.embed.weight.shape == (128, 128, 16, 16)

@@ -8,25 +8,26 @@ import torch
 
 import zoedepth
 from zoedepth.baselines.bts import DenseAspp, DenseNetEncoder
-from zoedepth.config import INDOOR, BaselineConfig, BtsNetwork
+from zoedepth.build import build_model
+from zoedepth.config import INDOOR, BaselineConfig, BtsNetworkConfig
 from zoedepth.errors import InputError
 from zoedepth.losses import silog
-from zoedepth.model.interface import DepthModel, build_network
-from zoedepth.pretrained import load_model
+from zoedepth.model.interface import DepthModel
+from zoedepth.weights.load import load_model
 
-TINY = BaselineConfig(BtsNetwork("tf_efficientnet_lite0", width=128), size=(64, 96))
+TINY = BaselineConfig(BtsNetworkConfig("tf_efficientnet_lite0", width=128), size=(64, 96))
 
 
 @cache
 def _weights() -> dict[str, torch.Tensor]:
     torch.manual_seed(0)
-    return build_network(TINY).state_dict()
+    return build_model(TINY).state_dict()
 
 
 def build(config: BaselineConfig = TINY) -> DepthModel:
     """A random model, in training mode, always of the same weights."""
     with torch.device("meta"):
-        model = build_network(config)
+        model = build_model(config)
     model.load_state_dict({name: value.clone() for name, value in _weights().items()}, assign=True)
     return model.train()
 
@@ -35,16 +36,16 @@ def noise(size: tuple[int, int], *, n: int = 2) -> torch.Tensor:
     return torch.rand(n, 3, *size, generator=torch.Generator().manual_seed(0))
 
 
-def count(network: BtsNetwork) -> int:
+def count(network: BtsNetworkConfig) -> int:
     with torch.device("meta"):
-        model = build_network(BaselineConfig(network))
+        model = build_model(BaselineConfig(network))
     return sum(p.numel() for p in model.parameters())
 
 
 def test_it_has_the_published_number_of_parameters():
-    assert count(BtsNetwork()) == 47_000_688
-    assert count(BtsNetwork()) == pytest.approx(47.0e6, rel=0.001)
-    assert count(BtsNetwork("resnet50")) == 47_481_968
+    assert count(BtsNetworkConfig()) == 47_000_688
+    assert count(BtsNetworkConfig()) == pytest.approx(47.0e6, rel=0.001)
+    assert count(BtsNetworkConfig("resnet50")) == 47_481_968
 
 
 @torch.no_grad()
@@ -106,7 +107,7 @@ def test_it_is_saved_and_loaded(tmp_path: Path):
 @pytest.mark.parametrize("name", ["densenet121", "tf_efficientnet_lite0"])
 def test_encoder_takes_the_weights_of_timms_network_and_can_save_memory(name: str):
     torch.manual_seed(1)
-    encoder = build_network(replace(TINY, network=replace(TINY.network, encoder=name))).encoder.eval()
+    encoder = build_model(replace(TINY, network=replace(TINY.network, encoder=name))).encoder.eval()
     network = timm.create_model(name, pretrained=False).eval()
     encoder.load_timm(network)
     pixels = noise((32, 32))
@@ -148,7 +149,7 @@ def test_each_dilated_branch_sees_those_before_it():
 
 
 def test_decoder_starts_with_xavier_weights_and_slow_statistics():
-    decoder = build_network(TINY).decoder
+    decoder = build_model(TINY).decoder
     weight = decoder.fuse16[0].weight
     bound = (6 / (9 * (weight.shape[0] + weight.shape[1]))) ** 0.5
     assert bound * 0.99 < weight.abs().max() <= bound
@@ -159,6 +160,6 @@ def test_decoder_starts_with_xavier_weights_and_slow_statistics():
 
 def test_config_refuses_what_makes_no_decoder():
     with pytest.raises(InputError, match=r"network\.width must be a multiple of 32, 128 or more"):
-        BtsNetwork(width=100)
+        BtsNetworkConfig(width=100)
     with pytest.raises(InputError, match=r"network\.focal_px must be more than 0"):
-        BtsNetwork(focal_px=0.0)
+        BtsNetworkConfig(focal_px=0.0)

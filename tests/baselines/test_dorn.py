@@ -7,27 +7,28 @@ import timm
 import torch
 
 import zoedepth
-from zoedepth.config import INDOOR, OUTDOOR, BaselineConfig, DornNetwork
+from zoedepth.build import build_model
+from zoedepth.config import INDOOR, OUTDOOR, BaselineConfig, DornNetworkConfig
 from zoedepth.errors import InputError
-from zoedepth.heads.dorn import interval_edges
 from zoedepth.losses import ordinal
-from zoedepth.model.interface import DepthModel, build_network
-from zoedepth.pretrained import load_model
+from zoedepth.model.heads.dorn import interval_edges
+from zoedepth.model.interface import DepthModel
+from zoedepth.weights.load import load_model
 
 SIZE = (65, 97)
-TINY = BaselineConfig(DornNetwork("tf_efficientnet_lite0", n_intervals=10, rates=(1, 2, 3), pooling=4), size=SIZE)
+TINY = BaselineConfig(DornNetworkConfig("tf_efficientnet_lite0", n_intervals=10, rates=(1, 2, 3), pooling=4), size=SIZE)
 
 
 @cache
 def _weights() -> dict[str, torch.Tensor]:
     torch.manual_seed(0)
-    return build_network(TINY).state_dict()
+    return build_model(TINY).state_dict()
 
 
 def build(config: BaselineConfig = TINY) -> DepthModel:
     """A random model, in training mode, always of the same weights."""
     with torch.device("meta"):
-        model = build_network(config)
+        model = build_model(config)
     model.load_state_dict({name: value.clone() for name, value in _weights().items()}, assign=True)
     return model.train()
 
@@ -36,23 +37,23 @@ def noise(*, n: int = 2) -> torch.Tensor:
     return torch.rand(n, 3, *SIZE, generator=torch.Generator().manual_seed(0))
 
 
-def on_meta(network: DornNetwork, size: tuple[int, int]) -> DepthModel:
+def on_meta(network: DornNetworkConfig, size: tuple[int, int]) -> DepthModel:
     with torch.device("meta"):
-        return build_network(BaselineConfig(network, size=size))
+        return build_model(BaselineConfig(network, size=size))
 
 
 def test_it_has_the_published_number_of_parameters():
     """The release has a softmax over two logits an interval: 68 or 71 times 2049 more."""
-    nyu = sum(p.numel() for p in on_meta(DornNetwork(), (257, 353)).parameters())
+    nyu = sum(p.numel() for p in on_meta(DornNetworkConfig(), (257, 353)).parameters())
     assert nyu == 110_141_444
     assert nyu == pytest.approx(110e6, rel=0.01)
-    kitti = on_meta(DornNetwork(n_intervals=71, rates=(6, 12, 18), pooling=16), (385, 513))
+    kitti = on_meta(DornNetworkConfig(n_intervals=71, rates=(6, 12, 18), pooling=16), (385, 513))
     assert sum(p.numel() for p in kitti.parameters()) == 99_661_831
 
 
 def test_encoder_is_dorns_resnet():
     """Three convolutions first, stride 8 at the end, the last two stages dilated from their first block on."""
-    model = on_meta(DornNetwork(), (257, 353)).eval()
+    model = on_meta(DornNetworkConfig(), (257, 353)).eval()
     stages = model.encoder.stages
     assert [layer.out_channels for layer in stages.conv1 if isinstance(layer, torch.nn.Conv2d)] == [64, 64, 128]
     for stage, stride, dilation in ((stages.layer2, 2, 1), (stages.layer3, 1, 2), (stages.layer4, 1, 4)):
@@ -172,4 +173,4 @@ def test_dilated_encoder_is_timms_with_an_output_stride():
 def test_config_refuses_what_makes_no_network():
     for name, value in (("n_intervals", 1), ("rates", (0, 1, 2)), ("pooling", 0)):
         with pytest.raises(InputError, match=rf"network\.{name} must be"):
-            replace(DornNetwork(), **{name: value})
+            replace(DornNetworkConfig(), **{name: value})

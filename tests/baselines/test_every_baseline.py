@@ -10,34 +10,35 @@ import torch
 
 import zoedepth
 from zoedepth.baselines import BASELINES
+from zoedepth.build import build_model
 from zoedepth.config import (
     INDOOR,
     OUTDOOR,
-    AdaBinsNetwork,
+    AdaBinsNetworkConfig,
     BaselineConfig,
-    BtsNetwork,
-    DornNetwork,
-    LocalBinsNetwork,
-    NewCrfsNetwork,
-    PixelBinsNetwork,
+    BtsNetworkConfig,
+    DornNetworkConfig,
+    LocalBinsNetworkConfig,
+    NewCrfsNetworkConfig,
+    PixelBinsNetworkConfig,
 )
 from zoedepth.data.sample import Batch
 from zoedepth.errors import InputError
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel
 from zoedepth.presets import ZOED_LITE
-from zoedepth.pretrained import load_model
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses
+from zoedepth.weights.load import load_model
 
 ENCODER = "tf_efficientnet_lite0"
 CRFS = {"widths": (32, 16, 16, 8), "attention_heads": (4, 2, 2, 1), "seed_width": 16}
 CONFIGS = {
-    "bts": BaselineConfig(BtsNetwork(ENCODER, width=128), size=(64, 96)),
-    "adabins": BaselineConfig(AdaBinsNetwork(ENCODER, n_bins=16), size=(64, 96)),
-    "localbins": BaselineConfig(LocalBinsNetwork(ENCODER, n_seed_bins=2, n_windows=3), size=(64, 96)),
-    "pixelbins": BaselineConfig(PixelBinsNetwork(ENCODER, n_bins=16), size=(64, 96)),
-    "newcrfs": BaselineConfig(NewCrfsNetwork(ENCODER, **CRFS), size=(64, 96)),
-    "dorn": BaselineConfig(DornNetwork(ENCODER, n_intervals=10), size=(65, 97)),
+    "bts": BaselineConfig(BtsNetworkConfig(ENCODER, width=128), size=(64, 96)),
+    "adabins": BaselineConfig(AdaBinsNetworkConfig(ENCODER, n_bins=16), size=(64, 96)),
+    "localbins": BaselineConfig(LocalBinsNetworkConfig(ENCODER, n_seed_bins=2, n_windows=3), size=(64, 96)),
+    "pixelbins": BaselineConfig(PixelBinsNetworkConfig(ENCODER, n_bins=16), size=(64, 96)),
+    "newcrfs": BaselineConfig(NewCrfsNetworkConfig(ENCODER, **CRFS), size=(64, 96)),
+    "dorn": BaselineConfig(DornNetworkConfig(ENCODER, n_intervals=10), size=(65, 97)),
 }
 EVERY = pytest.mark.parametrize("name", CONFIGS)
 
@@ -45,12 +46,12 @@ EVERY = pytest.mark.parametrize("name", CONFIGS)
 @cache
 def _weights(name: str) -> dict[str, torch.Tensor]:
     torch.manual_seed(0)
-    return build_network(CONFIGS[name]).state_dict()
+    return build_model(CONFIGS[name]).state_dict()
 
 
 def build(name: str, config: BaselineConfig | None = None) -> DepthModel:
     """A random one, in evaluation mode."""
-    model = build_network(config or CONFIGS[name])
+    model = build_model(config or CONFIGS[name])
     model.load_state_dict(_weights(name))
     return model.eval()
 

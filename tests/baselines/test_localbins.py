@@ -7,29 +7,30 @@ import timm
 import torch
 
 import zoedepth
-from zoedepth.config import INDOOR, OUTDOOR, BaselineConfig, LocalBinsNetwork
+from zoedepth.build import build_model
+from zoedepth.config import INDOOR, OUTDOOR, BaselineConfig, LocalBinsNetworkConfig
 from zoedepth.data.sample import Batch
 from zoedepth.errors import InputError
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel
 from zoedepth.presets import ZOED_LITE
-from zoedepth.pretrained import load_model
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses
+from zoedepth.weights.load import load_model
 
-TINY = BaselineConfig(LocalBinsNetwork("tf_efficientnet_lite0", n_seed_bins=2, n_windows=4), size=(64, 96))
+TINY = BaselineConfig(LocalBinsNetworkConfig("tf_efficientnet_lite0", n_seed_bins=2, n_windows=4), size=(64, 96))
 ENCODER = TINY.network.encoder
 
 
 @cache
 def _weights() -> dict[str, torch.Tensor]:
     torch.manual_seed(0)
-    return build_network(TINY).state_dict()
+    return build_model(TINY).state_dict()
 
 
 def build(config: BaselineConfig = TINY) -> DepthModel:
     """A random model with the weights every other has that is like it."""
     with torch.device("meta"):
-        model = build_network(config)
+        model = build_model(config)
     model.load_state_dict({name: value.clone() for name, value in _weights().items()}, assign=True)
     return model.train()
 
@@ -49,7 +50,7 @@ def loss_of(model: DepthModel, batch: Batch) -> dict[str, torch.Tensor]:
 
 def test_it_has_the_published_number_of_parameters():
     with torch.device("meta"):
-        model = build_network(BaselineConfig(LocalBinsNetwork()))
+        model = build_model(BaselineConfig(LocalBinsNetworkConfig()))
     n_parameters = sum(p.numel() for p in model.parameters())
     assert n_parameters == 73_544_872
     assert n_parameters == pytest.approx(74e6, rel=0.03)
@@ -58,7 +59,7 @@ def test_it_has_the_published_number_of_parameters():
 def test_its_bins_are_sixteen_times_the_seed_bins():
     for n_seed_bins, n_bins in ((8, 128), (16, 256)):
         with torch.device("meta"):
-            model = build_network(BaselineConfig(LocalBinsNetwork(n_seed_bins=n_seed_bins)))
+            model = build_model(BaselineConfig(LocalBinsNetworkConfig(n_seed_bins=n_seed_bins)))
         assert model.probability.out_channels == n_bins
         assert [splitter[-1].out_channels for splitter in model.bins.splitters] == [
             n_bins // 2**i for i in (3, 2, 1, 0)
@@ -174,6 +175,6 @@ def test_encoder_takes_the_weights_of_timms_network():
 
 def test_config_refuses_what_makes_no_bins():
     with pytest.raises(InputError, match=r"network\.n_seed_bins must be at least 2"):
-        LocalBinsNetwork(n_seed_bins=1)
+        LocalBinsNetworkConfig(n_seed_bins=1)
     with pytest.raises(InputError, match=r"network\.n_windows must be at least 0"):
-        LocalBinsNetwork(n_windows=-1)
+        LocalBinsNetworkConfig(n_windows=-1)

@@ -9,14 +9,15 @@ from timm.models.swin_transformer import SwinTransformerBlock
 
 import zoedepth
 from zoedepth.baselines.newcrfs import PyramidEncoder
-from zoedepth.config import INDOOR, BaselineConfig, NewCrfsNetwork
+from zoedepth.build import build_model
+from zoedepth.config import INDOOR, BaselineConfig, NewCrfsNetworkConfig
 from zoedepth.errors import InputError
 from zoedepth.losses import silog
-from zoedepth.model.interface import DepthModel, build_network
-from zoedepth.pretrained import load_model
+from zoedepth.model.interface import DepthModel
+from zoedepth.weights.load import load_model
 
 TINY = BaselineConfig(
-    NewCrfsNetwork("tf_efficientnet_lite0", widths=(32, 16, 8, 8), attention_heads=(4, 2, 2, 1), seed_width=16),
+    NewCrfsNetworkConfig("tf_efficientnet_lite0", widths=(32, 16, 8, 8), attention_heads=(4, 2, 2, 1), seed_width=16),
     size=(64, 96),
 )
 SWIN = "swin_tiny_patch4_window7_224"
@@ -25,12 +26,12 @@ SWIN = "swin_tiny_patch4_window7_224"
 @cache
 def _weights(config: BaselineConfig) -> dict[str, torch.Tensor]:
     torch.manual_seed(0)
-    return build_network(config).state_dict()
+    return build_model(config).state_dict()
 
 
 def build(config: BaselineConfig = TINY) -> DepthModel:
     """A random model, in training mode, always of the same weights."""
-    model = build_network(config)
+    model = build_model(config)
     model.load_state_dict(_weights(replace(config, domains=TINY.domains)))
     return model.train()
 
@@ -53,7 +54,7 @@ def swin() -> PyramidEncoder:
 
 def test_it_has_the_published_number_of_parameters():
     with torch.device("meta"):
-        model = build_network(BaselineConfig(NewCrfsNetwork()))
+        model = build_model(BaselineConfig(NewCrfsNetworkConfig()))
     counts = {name: sum(p.numel() for p in part.parameters()) for name, part in model.named_children()}
     assert counts == {"encoder": 194_998_164, "decoder": 75_445_560, "depth": 1_153}
     assert sum(counts.values()) == 270_444_877
@@ -195,8 +196,8 @@ def test_blocks_are_skipped_while_training_more_often_the_deeper():
 
 def test_config_refuses_what_makes_no_level():
     with pytest.raises(InputError, match=r"network\.widths must be multiples of 4"):
-        NewCrfsNetwork(widths=(1024, 512, 256, 126))
+        NewCrfsNetworkConfig(widths=(1024, 512, 256, 126))
     with pytest.raises(InputError, match=r"network\.attention_heads must be divisors"):
-        NewCrfsNetwork(attention_heads=(32, 16, 8, 0))
+        NewCrfsNetworkConfig(attention_heads=(32, 16, 8, 0))
     with pytest.raises(InputError, match=r"network\.seed_width must be a multiple of 2"):
-        NewCrfsNetwork(seed_width=0)
+        NewCrfsNetworkConfig(seed_width=0)

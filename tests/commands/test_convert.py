@@ -12,10 +12,10 @@ from tests.servers import FakeHub
 from tests.twins import KITTI, NYU, twin, twin_config
 
 from zoedepth.cli import main
-from zoedepth.convert.checkpoint import read_checkpoint
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, save_model
-from zoedepth.releases import RELEASES
+from zoedepth.weights.checkpoint import read_checkpoint
+from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.releases import RELEASES
 
 
 @pytest.fixture(scope="module")

@@ -22,7 +22,7 @@ from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Pro
 from zoedepth.images import write_depth_png
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, save_model
+from zoedepth.weights.load import load_model, save_model
 
 METRICS = {f.name for f in fields(Metrics)}
 

@@ -22,7 +22,7 @@ from zoedepth.predict import Predictor
 @pytest.fixture(autouse=True)
 def shipped_model(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> ZoeDepth:
     """Every model name gives the tiny model."""
-    monkeypatch.setattr("zoedepth.pretrained.load_model", lambda name, **_: tiny_model)
+    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: tiny_model)
     return tiny_model
 
 
@@ -307,7 +307,7 @@ class TestRelative:
         self, tmp_path: Path, shipped_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         bare = ZoeDepth(replace(shipped_model.config, domains=())).eval()
-        monkeypatch.setattr("zoedepth.pretrained.load_model", lambda name, **_: bare)
+        monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: bare)
         photo = write_photo(tmp_path / "photo.jpg")
         assert main(["predict", str(photo), "-o", str(tmp_path / "out")]) == 0
         assert "photo_relative.png" in names(tmp_path / "out")
@@ -329,7 +329,7 @@ class TestRelative:
 def test_compat_reaches_the_model(tmp_path: Path, shipped_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = {}
     monkeypatch.setattr(
-        "zoedepth.pretrained.load_model", lambda name, **options: asked.update(options) or shipped_model
+        "zoedepth.weights.load.load_model", lambda name, **options: asked.update(options) or shipped_model
     )
     photo = write_photo(tmp_path / "photo.jpg")
     assert main(["predict", str(photo), "-o", str(tmp_path / "out"), "--compat", "batch-vote", "squeeze"]) == 0

@@ -8,8 +8,8 @@ import tyro
 from tests.folders import write_pairs
 
 from zoedepth.commands.shard import shard
-from zoedepth.data.open import open_dataset
 from zoedepth.errors import InputError
+from zoedepth.opening import open_dataset
 
 
 def run(*arguments: object) -> int:

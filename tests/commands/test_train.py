@@ -12,9 +12,9 @@ from tests.folders import write_disparity_pairs, write_pairs
 from zoedepth.cli import main
 from zoedepth.config import BaselineConfig, ModelConfig, NaiveConfig, PixelBinsConfig
 from zoedepth.presets import ENCODERS
-from zoedepth.pretrained import load_model
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.weights.load import load_model
 
 
 @pytest.fixture

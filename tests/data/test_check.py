@@ -8,8 +8,8 @@ import pytest
 from tests.datasets.base import write_photo, write_png
 from tests.folders import write_csv, write_disparity_pairs, write_pairs
 
+from zoedepth.checking import N_READ, Values, check, contact_sheet, evenly
 from zoedepth.colors import INVALID_COLOR
-from zoedepth.data.check import N_READ, Values, check, contact_sheet, evenly
 from zoedepth.data.pairs import PairDataset
 from zoedepth.datasets.nyu import NYU
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.images import write_depth_png
 
 

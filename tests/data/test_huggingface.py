@@ -8,8 +8,8 @@ import pytest
 from PIL import Image
 
 from zoedepth.data.huggingface import HuggingFaceDataset
-from zoedepth.data.open import open_dataset
 from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.opening import open_dataset
 
 datasets = pytest.importorskip("datasets")
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 GOOD = {"image": "photo.jpg", "depth": "depth.png", "depth_scale": 1000, "domain": "indoor"}
 

@@ -9,10 +9,10 @@ import pytest
 from PIL import Image
 from tests.folders import write_pairs
 
-from zoedepth.data.open import open_dataset
 from zoedepth.data.pairs import PairDataset
 from zoedepth.datasets import DATASETS
 from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.opening import open_dataset
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.shards.writer import ShardSize, write_shards
 

@@ -11,9 +11,9 @@ import torch
 from PIL import Image
 from tests.folders import write_csv, write_disparity_pairs, write_pairs
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.images import write_depth_png
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.blendedmvs import BlendedMVS
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 6)
 TRAIN, VAL = "5c1f33f1d33e1f2e4aa6dda4", "5b7a3890fc8fcf6781e2593a"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo, write_png
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.diml import DIMLIndoor, DIMLOutdoor
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 6)
 NAMES = ("in_00_160126_155728", "in_00_160126_155801")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets import DATASETS
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 5)
 

@@ -5,10 +5,10 @@ import pytest
 from PIL import Image
 from tests.datasets.base import DatasetTester, write_photo, write_png
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.ibims import IBims
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 5)
 

@@ -5,10 +5,10 @@ import OpenEXR
 import pytest
 from tests.datasets.base import DatasetTester, write_photo
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.irs import IRS
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 6)
 SCENE = "Home/ArchVizInterior03Data"

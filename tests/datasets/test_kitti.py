@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo, write_png
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.kitti import KITTI
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (37, 124)
 CALIBRATION = """calib_time: 09-Jan-2012 13:57:47

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, slope, write_photo, write_png
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.nyu import NYU
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (48, 64)
 DEPTH = slope(SIZE, 0.7, 9.9)

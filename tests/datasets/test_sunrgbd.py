@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo, write_png
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.sunrgbd import SUNRGBD
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 5)
 LISTS = {"train": "sunrgbd_training_images.txt", "test": "sunrgbd_testing_images.txt"}

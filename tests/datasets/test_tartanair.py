@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tests.datasets.base import DatasetTester, write_photo
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.tartanair import TartanAir
+from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (4, 6)
 

@@ -9,7 +9,6 @@ from decimal import Decimal
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.evaluation.calibration import Calibration
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol, find_protocol
 from zoedepth.evaluation.scoring import RANGES, Score
 from zoedepth.evaluation.summary import (
@@ -22,6 +21,7 @@ from zoedepth.evaluation.summary import (
     results_table,
     summarise,
 )
+from zoedepth.evaluation.uncertainty import Calibration
 from zoedepth.metrics import HEADINGS, Metrics, Sums, add_sums, mean_metrics, pooled_metrics
 
 PROTOCOLS = {"indoor": INDOOR, "outdoor": OUTDOOR}

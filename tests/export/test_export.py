@@ -10,21 +10,22 @@ import pytest
 import torch
 from PIL import Image
 from tests.baselines.test_every_baseline import build as build_baseline
-from tests.heads import test_bts, test_dorn, test_splitter
+from tests.model.heads import test_bts, test_dorn, test_splitter
 from tests.model.test_encoder import TINY_SWIN
 
 import zoedepth.export.write
 from zoedepth import Predictor, load_model, save_model
+from zoedepth.build import build_model
 from zoedepth.cli import main
 from zoedepth.config import Domain, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
-from zoedepth.export.exported import OpenVinoModel
-from zoedepth.export.openvino_graph import LARGE
 from zoedepth.export.write import ExportError
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import ZOED_LITE
+from zoedepth.weights.exported import OpenVinoModel
+from zoedepth.weights.openvino_graph import LARGE
 
 DOMAINS = (Domain("indoor", 1e-3, 10.0), Domain("outdoor", 1e-3, 80.0))
 
@@ -32,7 +33,7 @@ DOMAINS = (Domain("indoor", 1e-3, 10.0), Domain("outdoor", 1e-3, 80.0))
 def beit(tiny_config: ModelConfig, n_domains: int, classifier: str = "transformer") -> DepthModel:
     torch.manual_seed(0)
     router = replace(tiny_config.router, kind="trained", classifier=classifier)
-    model = build_network(replace(tiny_config, domains=DOMAINS[:n_domains], router=router)).eval()
+    model = build_model(replace(tiny_config, domains=DOMAINS[:n_domains], router=router)).eval()
     with torch.no_grad():  # random tables are nearly zero: a mistake in them would not show
         for name, table in model.named_parameters():
             if "position_tables" in name:
@@ -225,8 +226,8 @@ def test_what_cannot_be_traced_is_said(tmp_path: Path):
 
 def test_wrong_wishes_are_refused(tiny_config: ModelConfig, tmp_path: Path):
     model = beit(tiny_config, 2)
-    labeled = build_network(replace(tiny_config, domains=DOMAINS, router=RouterConfig(kind="labeled"))).eval()
-    relative = build_network(replace(ZOED_LITE, domains=())).eval()
+    labeled = build_model(replace(tiny_config, domains=DOMAINS, router=RouterConfig(kind="labeled"))).eval()
+    relative = build_model(replace(ZOED_LITE, domains=())).eval()
     path = tmp_path / "model.onnx"
     for bad, kwargs, message in (
         (model, {"to": "openvino"}, "ends with .xml"),
@@ -271,7 +272,7 @@ def test_an_exported_model_says_what_it_cannot_do(tiny_config: ModelConfig, tmp_
     with pytest.raises(InputError, match="cannot be moved"):
         Predictor(exported, device="cuda")
     with pytest.raises(InputError, match="behaviours built in"):
-        zoedepth.export.open_model(tmp_path / "model.onnx", compat=("squeeze",))
+        zoedepth.export.load_model(tmp_path / "model.onnx", compat=("squeeze",))
 
 
 def test_the_weights_and_the_model_stay_as_they_are(tiny_config: ModelConfig, tmp_path: Path):

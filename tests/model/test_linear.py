@@ -8,8 +8,8 @@ from torch import nn
 
 import zoedepth.model.linear
 from zoedepth import load_model, save_model
+from zoedepth.build import build_model
 from zoedepth.config import ModelConfig
-from zoedepth.model.interface import build_network
 from zoedepth.model.linear import ConvolvedLinear, products_are_slow, replace_linear
 
 
@@ -50,7 +50,7 @@ def test_a_model_keeps_its_depth_its_keys_and_its_file(
     tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     torch.manual_seed(0)
-    model = build_network(tiny_config).eval()
+    model = build_model(tiny_config).eval()
     save_model(model, tmp_path / "model.safetensors")
     monkeypatch.setattr(zoedepth.model.linear, "products_are_slow", lambda: True)
     other = load_model(tmp_path / "model.safetensors")

@@ -18,10 +18,10 @@ from tests.folders import write_disparity_pairs, write_pairs
 from tests.servers import LocalServer
 from torch.utils.data import DataLoader, Dataset
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.shards.dataset import WINDOW, ShardDataset
 from zoedepth.shards.index import Index
 from zoedepth.shards.writer import ShardSize, whole_numbers, write_shards

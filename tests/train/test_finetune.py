@@ -10,12 +10,12 @@ from tests.folders import write_csv, write_disparity_pairs, write_pairs
 
 from zoedepth.cli import main
 from zoedepth.config import ModelConfig
-from zoedepth.data.open import open_dataset
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, save_model
+from zoedepth.opening import open_dataset
 from zoedepth.train.finetune import plan
 from zoedepth.train.survey import survey
+from zoedepth.weights.load import load_model, save_model
 
 
 @pytest.fixture

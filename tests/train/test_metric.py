@@ -18,10 +18,10 @@ from zoedepth.data.sample import Batch, Sample
 from zoedepth.errors import InputError, TrainingError
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.presets import PRESETS
-from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import metric_losses, train_metric
 from zoedepth.train.state import checkpoints
+from zoedepth.weights.load import load_model, save_model
 
 MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]

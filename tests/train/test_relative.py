@@ -18,10 +18,10 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import TrainingError
 from zoedepth.losses import mean_counted, scale_and_shift_invariant
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import RelativeModel, train_relative
+from zoedepth.weights.load import load_model, save_model
 
 MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]

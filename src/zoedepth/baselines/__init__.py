@@ -8,29 +8,23 @@ from zoedepth.baselines.localbins import LocalBins
 from zoedepth.baselines.newcrfs import NewCrfs
 from zoedepth.baselines.pixelbins import PixelBins
 from zoedepth.config import (
-    AdaBinsNetwork,
-    BaselineConfig,
-    BtsNetwork,
-    DornNetwork,
-    LocalBinsNetwork,
+    AdaBinsNetworkConfig,
+    BtsNetworkConfig,
+    DornNetworkConfig,
+    LocalBinsNetworkConfig,
     NetworkConfig,
-    NewCrfsNetwork,
-    PixelBinsNetwork,
+    NewCrfsNetworkConfig,
+    PixelBinsNetworkConfig,
 )
 
-__all__ = ["BASELINES", "Baseline", "build_baseline"]
+__all__ = ["BASELINES", "Baseline"]
 
 BASELINES: dict[type[NetworkConfig], type[Baseline]] = {
-    AdaBinsNetwork: AdaBins,
-    LocalBinsNetwork: LocalBins,
-    PixelBinsNetwork: PixelBins,
-    NewCrfsNetwork: NewCrfs,
-    BtsNetwork: Bts,
-    DornNetwork: Dorn,
+    AdaBinsNetworkConfig: AdaBins,
+    LocalBinsNetworkConfig: LocalBins,
+    PixelBinsNetworkConfig: PixelBins,
+    NewCrfsNetworkConfig: NewCrfs,
+    BtsNetworkConfig: Bts,
+    DornNetworkConfig: Dorn,
 }
 """The config class of a network → the model."""
-
-
-def build_baseline(config: BaselineConfig) -> Baseline:
-    """The baseline of a config, with random weights, in training mode."""
-    return BASELINES[type(config.network)](config)

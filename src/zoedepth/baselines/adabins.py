@@ -5,9 +5,9 @@ from torch import Tensor
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
-from zoedepth.config import AdaBinsConfig, AdaBinsNetwork, BaselineConfig
-from zoedepth.heads.adabins import ImageBins
-from zoedepth.heads.output import HeadOutput
+from zoedepth.config import AdaBinsConfig, AdaBinsNetworkConfig, BaselineConfig
+from zoedepth.model.heads.adabins import ImageBins
+from zoedepth.model.heads.output import HeadOutput
 
 
 class AdaBins(Baseline):
@@ -16,7 +16,7 @@ class AdaBins(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, AdaBinsNetwork)
+        assert isinstance(network, AdaBinsNetworkConfig)
         bins = AdaBinsConfig(n_bins=network.n_bins)
         self.encoder = EfficientNetEncoder(network.encoder)
         self.decoder = UNetDecoder(self.encoder.channels, features=bins.width)

@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from zoedepth.config import BaselineConfig, Domain
-from zoedepth.heads.output import HeadOutput
+from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
 from zoedepth.model.router import Routing
 

@@ -9,10 +9,10 @@ from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.encoder import FeatureEncoder
-from zoedepth.config import BaselineConfig, BtsNetwork
-from zoedepth.heads.bts import PlanarGuidance, convolution, narrowing
-from zoedepth.heads.output import HeadOutput
+from zoedepth.config import BaselineConfig, BtsNetworkConfig
 from zoedepth.model.encoder import TimmEncoder
+from zoedepth.model.heads.bts import PlanarGuidance, convolution, narrowing
+from zoedepth.model.heads.output import HeadOutput
 
 RATES = (3, 6, 12, 18, 24)
 """Dilations of the dense ASPP."""
@@ -26,7 +26,7 @@ class Bts(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, BtsNetwork)
+        assert isinstance(network, BtsNetworkConfig)
         self.encoder = (
             DenseNetEncoder(network.encoder)
             if network.encoder.startswith("densenet")

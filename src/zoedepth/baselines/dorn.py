@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.encoder import FeatureEncoder
-from zoedepth.config import BaselineConfig, DornNetwork
-from zoedepth.heads.dorn import SceneModule, interval_edges, ordinal_output
-from zoedepth.heads.output import HeadOutput
+from zoedepth.config import BaselineConfig, DornNetworkConfig
 from zoedepth.model.decoder import upsample
+from zoedepth.model.heads.dorn import SceneModule, interval_edges, ordinal_output
+from zoedepth.model.heads.output import HeadOutput
 
 WIDTH = 512
 """Channels of each branch of the scene module."""
@@ -27,7 +27,7 @@ class Dorn(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, DornNetwork)
+        assert isinstance(network, DornNetworkConfig)
         self.decode = network.decode
         self.edges = interval_edges(
             self.domain.min_depth, self.domain.max_depth, network.n_intervals, spacing="increasing"

@@ -5,10 +5,17 @@ from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
-from zoedepth.config import BaselineConfig, LocalBinsNetwork, SplitterConfig
-from zoedepth.heads.output import HeadOutput, Supervision
-from zoedepth.heads.probability import BinDistribution
-from zoedepth.heads.splitter import BinProjectors, BinSplitters, bin_centers, draw_boxes, embed_windows, window_bins
+from zoedepth.config import BaselineConfig, LocalBinsNetworkConfig, SplitterConfig
+from zoedepth.model.heads.output import HeadOutput, Supervision
+from zoedepth.model.heads.probability import BinDistribution
+from zoedepth.model.heads.splitter import (
+    BinProjectors,
+    BinSplitters,
+    bin_centers,
+    draw_boxes,
+    embed_windows,
+    window_bins,
+)
 
 
 class LocalBins(Baseline):
@@ -17,7 +24,7 @@ class LocalBins(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, LocalBinsNetwork)
+        assert isinstance(network, LocalBinsNetworkConfig)
         self.n_windows = network.n_windows
         self.front_padding = network.front_padding
         bins = SplitterConfig(n_seed_bins=network.n_seed_bins)

@@ -5,8 +5,8 @@ from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.encoder import FeatureEncoder
-from zoedepth.config import BaselineConfig, NewCrfsNetwork
-from zoedepth.heads.newcrfs import (
+from zoedepth.config import BaselineConfig, NewCrfsNetworkConfig
+from zoedepth.model.heads.newcrfs import (
     NATIVE_BLOCKS,
     NATIVE_WINDOW,
     Crfs,
@@ -14,7 +14,7 @@ from zoedepth.heads.newcrfs import (
     SigmoidDepth,
     pad_to_windows,
 )
-from zoedepth.heads.output import HeadOutput
+from zoedepth.model.heads.output import HeadOutput
 
 _SWIN = {"strict_img_size": False, "always_partition": True, "drop_path_rate": 0.3}
 """timm's Swin takes any size, and shifts windows even where one holds the whole map, as the original; and skips blocks
@@ -27,7 +27,7 @@ class NewCrfs(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, NewCrfsNetwork)
+        assert isinstance(network, NewCrfsNetworkConfig)
         self.encoder = PyramidEncoder(network.encoder)
         channels = tuple(reversed(self.encoder.channels))
         self.decoder = Crfs(

@@ -5,9 +5,9 @@ from torch import Tensor
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
-from zoedepth.config import BaselineConfig, PixelBinsNetwork
-from zoedepth.heads.output import HeadOutput
-from zoedepth.heads.pixelbins import PixelBins as PixelBinsLayer
+from zoedepth.config import BaselineConfig, PixelBinsNetworkConfig
+from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.heads.pixelbins import PixelBins as PixelBinsLayer
 
 _WIDTH = 128
 """Channels of the map that widths and probabilities are predicted from."""
@@ -19,7 +19,7 @@ class PixelBins(Baseline):
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
         network = config.network
-        assert isinstance(network, PixelBinsNetwork)
+        assert isinstance(network, PixelBinsNetworkConfig)
         self.encoder = EfficientNetEncoder(network.encoder)
         self.decoder = UNetDecoder(self.encoder.channels, features=_WIDTH, slim=True)
         self.bins = PixelBinsLayer(_WIDTH, network.n_bins, self.domain, exact=network.exact)

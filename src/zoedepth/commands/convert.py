@@ -31,14 +31,14 @@ def convert(
         licence: of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
         compat: what the file does not say, to be written into the config: 80m, a baseline's weights are KITTI's.
     """
-    from zoedepth.convert.checkpoint import read_checkpoint, write_checkpoint
     from zoedepth.presets import with_compat
-    from zoedepth.pretrained import build_model, find
+    from zoedepth.weights.checkpoint import read_checkpoint, write_checkpoint
+    from zoedepth.weights.load import find, model_of
 
     path = find(source)
     checkpoint = read_checkpoint(path)
     checkpoint = checkpoint._replace(config=with_compat(checkpoint.config, compat))
-    build_model(checkpoint, source=path)
+    model_of(checkpoint, source=path)
     written = write_checkpoint(checkpoint, target, to=to, name=name or target.stem, licence=licence)
     print(written)
     return 0
@@ -63,16 +63,16 @@ def push(
         licence: of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
         dry_run: print the model card, and upload nothing.
     """
-    from zoedepth.card import model_card
-    from zoedepth.convert.checkpoint import read_checkpoint
-    from zoedepth.hub import is_hub_id
-    from zoedepth.pretrained import build_model, find, push_to_hub
+    from zoedepth.weights.card import model_card
+    from zoedepth.weights.checkpoint import read_checkpoint
+    from zoedepth.weights.hub import is_hub_id
+    from zoedepth.weights.load import find, model_of, push_to_hub
 
     if not is_hub_id(repo):
         raise InputError(f"{repo!r} is no id of a repository: give owner/name")
     path = find(source)
     checkpoint = read_checkpoint(path)
-    model = build_model(checkpoint, source=path)
+    model = model_of(checkpoint, source=path)
     if dry_run:
         print(model_card(checkpoint.config, name=repo, layout=to, licence=licence))
         return 0

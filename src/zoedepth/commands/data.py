@@ -17,7 +17,7 @@ from zoedepth.errors import InputError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from zoedepth.data.check import Report
+    from zoedepth.checking import Report
     from zoedepth.data.pairs import PairDataset
     from zoedepth.datasets.published import About, PublishedDataset
 
@@ -87,8 +87,8 @@ def check(
     from rich.console import Console
     from rich.progress import track
 
-    from zoedepth.data.check import check as check_pairs
-    from zoedepth.data.check import contact_sheet
+    from zoedepth.checking import check as check_pairs
+    from zoedepth.checking import contact_sheet
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
 

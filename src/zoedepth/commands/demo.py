@@ -42,7 +42,7 @@ def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
     truth = motorcycle_depth()
 
     from zoedepth.predict import Predictor
-    from zoedepth.pretrained import load_model
+    from zoedepth.weights.load import load_model
 
     console = Console(highlight=False)
     predictor = Predictor(load_model(model), device="auto")

@@ -23,7 +23,7 @@ def demo_train(*, out: Path = Path("demo-train"), scenes: int = 160, seed: int =
         scenes: how many are rendered; the last twelve are held out.
         seed: of the scenes.
     """
-    from zoedepth.data.open import open_dataset
+    from zoedepth.opening import open_dataset
     from zoedepth.shards.writer import ShardSize, write_shards
     from zoedepth.train.metric import train_metric
     from zoedepth.train.relative import train_relative

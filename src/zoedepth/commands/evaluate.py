@@ -162,7 +162,7 @@ def _uses_masks(name: str, wanted: Sequence[str]) -> bool:
 
 
 def _open(name: str, source: str, *, use_masks: bool) -> "DepthDataset":
-    from zoedepth.data.open import open_dataset
+    from zoedepth.opening import open_dataset
 
     dataset = open_dataset(source, name=name, split="test", allow_missing=True, use_masks=use_masks)
     if "disparity" in dataset.kinds:
@@ -206,11 +206,10 @@ def _sources(
     device: str,
 ) -> "dict[str, tuple[Source, dict[str, object]]]":
     """Label → source, and what its scores depend on."""
-    from zoedepth.data.open import open_dataset
     from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
-    from zoedepth.export import open_model
+    from zoedepth.opening import open_dataset
     from zoedepth.predict import Predictor
-    from zoedepth.pretrained import find
+    from zoedepth.weights.load import find, load_model
 
     found: dict[str, tuple[Source, dict[str, object]]] = {}
 
@@ -224,7 +223,7 @@ def _sources(
     for entry in models:
         label, equals, value = entry.partition("=")
         value = value if equals else label
-        network = open_model(value, compat=compat)
+        network = load_model(value, compat=compat)
         network = Predictor(network, device=device).model
         add(label, ModelSource(network), {"weights": _fingerprint(find(value)), "compat": list(compat)})
     for label, folder in named_paths(tuple(predictions)).items():

@@ -37,7 +37,7 @@ def export(
         compat: see `zoedepth predict`.
     """
     from zoedepth.export.write import SUFFIXES, export_model
-    from zoedepth.pretrained import load_model
+    from zoedepth.weights.load import load_model
 
     photos = []
     if calibrate is not None:

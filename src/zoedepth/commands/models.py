@@ -15,8 +15,8 @@ def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int
     Args:
         json_: print one JSON object for each model, and nothing else.
     """
-    from zoedepth.hub import cached
-    from zoedepth.releases import RELEASES, download_folder
+    from zoedepth.weights.hub import cached
+    from zoedepth.weights.releases import RELEASES, download_folder
 
     for name, release in RELEASES.items():
         in_hub_cache = release.hub_id is not None and cached(release.hub_id)

@@ -106,8 +106,8 @@ def predict(
 
     import torch
 
-    from zoedepth.export import open_model
     from zoedepth.predict import Predictor
+    from zoedepth.weights.load import load_model
 
     workers = min(workers or cpu_count(), len(found.photos))
     threads = torch.get_num_threads()
@@ -115,7 +115,7 @@ def predict(
         # Photos side by side, a core each: the threads of one forward wait for each other all the time.
         torch.set_num_threads(max(1, cpu_count() // workers))
     try:
-        network = open_model(model, compat=compat, precision=precision, streams=workers)
+        network = load_model(model, compat=compat, precision=precision, streams=workers)
         relative = relative or not network.config.domains
         if relative and (domain is not None or png_scale is not None or vmin is not None or vmax is not None):
             raise InputError("relative depth has no metres: leave out --domain, --png-scale, --vmin and --vmax")

@@ -39,7 +39,7 @@ def shard(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    from zoedepth.data.open import open_dataset
+    from zoedepth.opening import open_dataset
     from zoedepth.shards.writer import ShardSize, write_shards
 
     size = ShardSize.parse(shard_size)

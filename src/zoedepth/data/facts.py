@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from zoedepth.camera import Intrinsics
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 DEFAULTS_FILE = "dataset.json"
 """Name of the file beside the data that says what holds for all of it."""

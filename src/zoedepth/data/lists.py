@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts, parse_json
 from zoedepth.data.sample import Target
 from zoedepth.data.targets import png_scale
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 MISSING = "None"
 """What a list writes for a depth that there is not."""

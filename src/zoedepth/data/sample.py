@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float, Int, Int64
 from torch import Tensor
 
-from zoedepth.camera import Intrinsics
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 Target = Literal["depth", "disparity"]
 """depth: metres along the optical axis. disparity: inverse depth up to an unknown scale and shift; near is large."""

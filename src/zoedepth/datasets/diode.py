@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.readers import read_npy
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 
 class DIODEIndoor(PublishedDataset):

@@ -12,9 +12,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float32
 from torch.utils.data import Dataset
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.images import ImageArray, read_image
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from zoedepth.errors import InputError
 from zoedepth.evaluation.improvement import MRI_METRICS, mri_datasets, mri_metrics
-from zoedepth.releases import ASSETS
+from zoedepth.weights.releases import ASSETS
 
 ALL = "all"
 """Stands for the data sets together: the key of mRI_D."""

@@ -12,9 +12,9 @@ from jaxtyping import Bool, Float
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.boundaries import boundary_f1
-from zoedepth.evaluation.calibration import Calibration, calibration
 from zoedepth.evaluation.predictions import Prediction
 from zoedepth.evaluation.protocols import Protocol, crop_mask
+from zoedepth.evaluation.uncertainty import Calibration, calibration
 from zoedepth.metrics import Sums, pixel_sums
 
 RANGES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0, 80.0, 1000.0)

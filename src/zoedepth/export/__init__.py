@@ -1,6 +1,6 @@
-"""Models for other programs, and running them here: ONNX, OpenVINO, torch.export."""
+"""Models for other programs: ONNX, OpenVINO, torch.export. ``zoedepth.load_model`` runs the files of the first two."""
 
-from zoedepth.export.exported import ExportedModel, is_exported, load_exported, open_model
 from zoedepth.export.write import export_model
+from zoedepth.weights.exported import load_exported
 
-__all__ = ["ExportedModel", "export_model", "is_exported", "load_exported", "open_model"]
+__all__ = ["export_model", "load_exported"]

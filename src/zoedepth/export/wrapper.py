@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 import torch.nn.functional as F
@@ -10,32 +10,14 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.errors import InputError
-from zoedepth.heads.attractor import AttractorHead
-from zoedepth.heads.output import HeadOutput
-from zoedepth.heads.probability import BinDistribution
 from zoedepth.model.decoder import upsample
+from zoedepth.model.heads.attractor import AttractorHead
+from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.router import TrainedRouter
 from zoedepth.model.zoedepth import ZoeDepth
-
-INPUT = "pixel_values"
-"""RGB in [0, 1], float32 (batch, 3, height, width); normalised inside."""
-DOMAIN = "domain"
-"""Second input, of models with several heads: int64 (batch,), the head each image takes; -1 leaves it to the router."""
-
-STD = "std"
-"""Name of the output that is only computed when it is wanted, where the runtime allows."""
-
-
-class Exported(NamedTuple):
-    """What an exported model gives; its outputs have these names. Those that a model has not are left out."""
-
-    predicted_depth: Float[Tensor, "batch height width"]
-    """Metres."""
-    std: Float[Tensor, "batch height width"] | None
-    """Metres: standard deviation of the distribution that depth is the mean of."""
-    domain_logits: Float[Tensor, "batch domains"] | None
-    """The router's scores."""
+from zoedepth.weights.tensors import Exported
 
 
 class ExportModel(nn.Module):

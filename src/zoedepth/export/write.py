@@ -15,15 +15,16 @@ import torch
 from torch import Tensor
 
 from zoedepth import __version__
-from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetwork, to_dict
+from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetworkConfig, to_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
-from zoedepth.export.exported import METADATA, load_exported
-from zoedepth.export.openvino_graph import make_products_unsigned
-from zoedepth.export.wrapper import DOMAIN, INPUT, Exported, ExportModel
+from zoedepth.export.wrapper import ExportModel
 from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import resize_pixels
 from zoedepth.sizes import network_size
+from zoedepth.weights.exported import METADATA, load_exported
+from zoedepth.weights.openvino_graph import make_products_unsigned
+from zoedepth.weights.tensors import DOMAIN, INPUT, Exported
 
 Format = Literal["onnx", "openvino", "torch-export"]
 SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "openvino": ".xml", "torch-export": ".pt2"}
@@ -79,7 +80,7 @@ def export_model(
     if config.one_size and size not in (None, config.size):
         raise InputError(f"{config.encoder_name} takes pixels of {config.size} only")
     parts = config.head if isinstance(config, ModelConfig) else config.network
-    if to != "torch-export" and isinstance(parts, NewCrfsConfig | NewCrfsNetwork):
+    if to != "torch-export" and isinstance(parts, NewCrfsConfig | NewCrfsNetworkConfig):
         raise InputError("NeWCRFs cuts a photo into windows by its size, which fits torch-export only")
     if model.device.type != "cpu":
         raise InputError("the model is on another device: export a copy on the CPU, which the check runs on")

@@ -1,8 +1,7 @@
 """What all models of this package have in common: pixels in, ``DepthOutput`` out."""
 
 from abc import ABC, abstractmethod
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -10,9 +9,9 @@ from torch import Tensor, nn
 
 from zoedepth.config import AnyModelConfig
 from zoedepth.errors import InputError
-from zoedepth.heads.output import Answer, Supervision
 from zoedepth.model.decoder import upsample
 from zoedepth.model.encoder import TimmEncoder
+from zoedepth.model.heads.output import Answer, Supervision
 from zoedepth.model.router import Routing
 
 
@@ -56,13 +55,6 @@ class DepthModel(nn.Module, ABC):
 
     config: AnyModelConfig
     encoder: TimmEncoder
-
-    @classmethod
-    def from_pretrained(cls, name_or_path: str | Path) -> "DepthModel":
-        """The same as ``zoedepth.load_model``: a name, a file, a folder or a Hugging Face id."""
-        from zoedepth.pretrained import load_model  # which builds on this module
-
-        return load_model(name_or_path)
 
     @property
     def device(self) -> torch.device:
@@ -124,19 +116,3 @@ class DepthModel(nn.Module, ABC):
             raise InputError(
                 f"domain must hold {len(pixels)} integers, one an image, from 0 to {n_domains - 1}; got {domain}"
             )
-
-
-def build_network(config: AnyModelConfig) -> DepthModel:
-    """The model of a config, with random weights, in training mode, in the memory format that convolutions like."""
-    from zoedepth.baselines import build_baseline
-    from zoedepth.config import ModelConfig
-    from zoedepth.model.zoedepth import ZoeDepth
-
-    model = ZoeDepth(config) if isinstance(config, ModelConfig) else build_baseline(config)
-    return channels_last(model)
-
-
-def channels_last(model: DepthModel) -> DepthModel:
-    """The model with the weights of its convolutions in the memory format that all its maps have."""
-    module: Any = model  # torch's types leave this argument out
-    return module.to(memory_format=torch.channels_last)

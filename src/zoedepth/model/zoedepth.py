@@ -1,6 +1,8 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
-from typing import Any
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar
 
 import torch
 from jaxtyping import Float, Int
@@ -8,10 +10,10 @@ from torch import Tensor, nn
 
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.heads import HEADS
-from zoedepth.heads.output import Answer, mixed
 from zoedepth.model.decoder import Decoder, DecoderFeatures, upsample
 from zoedepth.model.encoder import Encoder
+from zoedepth.model.heads import HEADS
+from zoedepth.model.heads.output import Answer, mixed
 from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
 from zoedepth.model.router import Routing, build_router
 
@@ -21,6 +23,9 @@ class ZoeDepth(DepthModel):
 
     Without any domain in its config it has encoder and decoder only, and gives relative depth.
     """
+
+    from_pretrained: ClassVar[Callable[[str | Path], "ZoeDepth"]]
+    """Load a ZoeDepth by name, file, folder or Hugging Face id. ``weights/load.py``, which is above, puts it here."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()

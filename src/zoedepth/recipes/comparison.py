@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
-from zoedepth.config import INDOOR, BaselineConfig, LocalBinsNetwork
+from zoedepth.config import INDOOR, BaselineConfig, LocalBinsNetworkConfig
 from zoedepth.presets import BASELINES, ZOED_LITE
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
@@ -37,7 +37,7 @@ def baseline(name: str) -> TrainConfig:
     preset = BASELINES[f"{name}-n"]
     size = (SIZE[0] + 1, SIZE[1] + 1) if name == "dorn" else SIZE
     network = replace(preset.network, encoder=ZOED_LITE.encoder.name)
-    if isinstance(network, LocalBinsNetwork):
+    if isinstance(network, LocalBinsNetworkConfig):
         network = replace(network, n_windows=20)
     return replace(head(), model=BaselineConfig(network, domains=(INDOOR,), size=size, antialias=True))
 

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch.utils.data import Dataset
 
-from zoedepth.camera import Intrinsics
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.synthetic.photo import photograph
 from zoedepth.synthetic.pose import count_parts
 from zoedepth.synthetic.render import View, render

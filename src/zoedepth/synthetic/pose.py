@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zoedepth.camera import Intrinsics
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.synthetic.render import View
 from zoedepth.synthetic.scene import Arrays
 from zoedepth.synthetic.trace import Tracer

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from zoedepth.camera import Intrinsics
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.synthetic.light import bounced_light, direct_light, offset, sky_color, unshadowed
 from zoedepth.synthetic.scene import Arrays, Scene
 from zoedepth.synthetic.surfaces import Table, albedo, dot, material_table, meet, norm

@@ -8,7 +8,6 @@ from pathlib import Path
 import torch
 from torch.utils.data import Subset
 
-from zoedepth.card import model_card
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.evaluation.evaluate import evaluate
@@ -18,13 +17,14 @@ from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.images import atomic_path, write_image
 from zoedepth.metrics import Metrics
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, save_model
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
 from zoedepth.train.sources import open_source
 from zoedepth.train.survey import Survey, survey
+from zoedepth.weights.card import model_card
+from zoedepth.weights.load import load_model, save_model
 
 INITIAL = "initial.safetensors"
 """The model training starts from, in the run's folder."""
@@ -63,7 +63,7 @@ def plan(
     """Look at the data, and choose what fits it; also writes ``out/data.jpg``, a picture of it.
 
     Args:
-        data: NAME → SOURCE, whatever ``zoedepth.data.open.open_dataset`` opens.
+        data: NAME → SOURCE, whatever ``zoedepth.opening.open_dataset`` opens.
         init: model to start from, for ``load_model``.
         out: the run's folder.
         domain: scene type of photos whose data says none.

@@ -13,10 +13,11 @@ import torch
 from torch import Tensor, nn
 from torch.utils.data import DataLoader, Subset
 
+from zoedepth.build import build_model
 from zoedepth.data.mix import Mixture, Positions, Source
 from zoedepth.data.sample import Batch, Sample, collate
 from zoedepth.errors import TrainingError
-from zoedepth.model.interface import DepthModel, build_network
+from zoedepth.model.interface import DepthModel
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.log import Log
 from zoedepth.train.optim import build_optimizer, set_rates
@@ -58,7 +59,7 @@ class Run:
         training, self.validation = load_sources(config, data)
         self.sources = [source for source, _ in training]
 
-        model = build_network(config.model)
+        model = build_model(config.model)
         finished = checkpoints(out)
         started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
         if config.gradient_checkpointing:

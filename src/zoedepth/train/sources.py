@@ -9,9 +9,9 @@ import numpy as np
 from torch.utils.data import Dataset, Subset
 
 from zoedepth.data import augment
-from zoedepth.data.open import open_dataset
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
+from zoedepth.opening import open_dataset
 from zoedepth.train.config import SourceConfig, TrainConfig
 
 

@@ -9,7 +9,7 @@ from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.pretrained import load_model, misfits
+from zoedepth.weights.load import load_model, misfits
 
 IMAGENET = "imagenet"
 """Name that stands for the encoder's ImageNet weights."""

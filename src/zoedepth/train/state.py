@@ -17,8 +17,8 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from zoedepth.config import from_dict, to_dict
 from zoedepth.errors import InputError
 from zoedepth.model.interface import DepthModel
-from zoedepth.pretrained import save_model
 from zoedepth.train.config import TrainConfig
+from zoedepth.weights.load import save_model
 
 
 @dataclass

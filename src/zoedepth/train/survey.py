@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zoedepth.data.check import SPARSE, evenly
+from zoedepth.checking import SPARSE, evenly
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 

@@ -1,0 +1,32 @@
+"""The one way from a configuration to a network."""
+
+from typing import Any
+
+import torch
+
+from zoedepth.baselines import BASELINES
+from zoedepth.config import AnyModelConfig, ModelConfig
+from zoedepth.model.interface import DepthModel
+from zoedepth.model.zoedepth import ZoeDepth
+
+
+def build_model(config: AnyModelConfig) -> DepthModel:
+    """Build the network of a configuration, with random weights, in training mode.
+
+    Args:
+        config: of a ZoeDepth or of a baseline, for example ``zoedepth.presets.PRESETS["zoed-m12-nk"]``.
+
+    Returns:
+        The model, its weights in the memory format that convolutions are fastest in.
+
+    Raises:
+        InputError: the encoder has fewer blocks than the configuration takes maps from.
+    """
+    model = ZoeDepth(config) if isinstance(config, ModelConfig) else BASELINES[type(config.network)](config)
+    return channels_last(model)
+
+
+def channels_last(model: DepthModel) -> DepthModel:
+    """Give the weights of all convolutions the memory format that their maps have."""
+    module: Any = model  # torch's types leave this argument out
+    return module.to(memory_format=torch.channels_last)

@@ -1,0 +1,144 @@
+"""One function that opens any data there is."""
+
+import re
+from pathlib import Path
+from urllib.parse import parse_qsl
+
+from zoedepth.data.facts import Facts
+from zoedepth.data.folders import LAYOUTS, find_layout
+from zoedepth.data.huggingface import HuggingFaceDataset, is_saved, load_hub, load_saved
+from zoedepth.data.pairs import PairDataset, find_list
+from zoedepth.data.sample import DepthDataset
+from zoedepth.datasets import DATASETS
+from zoedepth.errors import InputError
+from zoedepth.shards.dataset import ShardDataset, find_shards
+from zoedepth.shards.index import INDEX_FILE
+from zoedepth.synthetic import SyntheticScenes
+
+LISTS = (".csv", ".jsonl", ".txt")
+
+ACCEPTED = f"""accepted are
+    a list of pairs: .csv, .jsonl, or BTS's .txt
+    a folder with SPLIT.csv or SPLIT.jsonl
+    a folder of pairs: {", ".join("/ and ".join(layout) + "/" for layout in LAYOUTS)}
+    shards: a .tar, {INDEX_FILE}, their address, or a folder of them (also SPLIT/ in it)
+    a published data set in its official folder, under its name: {", ".join(DATASETS)}
+    Hugging Face: hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that save_to_disk wrote
+    made up: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384]"""
+
+SCENES = {"rooms": ("indoor",), "streets": ("outdoor",), "all": ("indoor", "outdoor")}
+"""Name of made-up scenes → their domains."""
+
+_HUB = re.compile(r"(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[\w./-]+))?(?::(?P<split>[^:?]+(?::[^?]*)?))?")
+
+
+def open_dataset(
+    source: str | Path,
+    *,
+    name: str | None = None,
+    split: str = "train",
+    allow_missing: bool = False,
+    depth_scale: float | None = None,
+    domain: str | None = None,
+    use_masks: bool = True,
+) -> DepthDataset:
+    """Photos with depth, wherever and however they are kept.
+
+    Args:
+        source: a file, folder or address; see ``ACCEPTED``, or docs/your-data.md.
+        name: of the data; that of a published one, such as nyu, says how its official folder is to be read. A list,
+            index or other sign that the folder is your own goes before.
+        split: which list, folder or split, where there are several.
+        allow_missing: photos without depth are no error, where the format knows such.
+        depth_scale: the stored value of one metre, where nobody says it.
+        domain: scene type, where nobody says it.
+        use_masks: of a published set, see ``zoedepth.datasets.published.PublishedDataset``.
+
+    Raises:
+        InputError: there is no such data, or it is not in order; the message says what is accepted.
+        MissingExtraError: it needs a library that is not installed.
+    """
+    text = str(source)
+    scheme = text.partition(":")[0]
+    if scheme == "hf":
+        return _open_hub(text, split=split, facts=Facts(depth_scale, domain))
+    if scheme == "synthetic":
+        return _open_synthetic(text)
+    if scheme in ("http", "https"):
+        if not text.startswith(f"{scheme}://") or not text.endswith((f"/{INDEX_FILE}", ".tar")):
+            raise InputError(f"cannot open {text}: the address must be that of {INDEX_FILE} or a .tar; {ACCEPTED}")
+        return ShardDataset(text, depth_scale=depth_scale, domain=domain)
+    path = Path(source)
+    if path.is_dir() and name in DATASETS and not use_masks:
+        return DATASETS[name](path, split=split, allow_missing=allow_missing, use_masks=False)
+    if path.is_dir():
+        return _open_folder(
+            path, name=name, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain
+        )
+    if not path.is_file():
+        raise InputError(f"there is no {path}; {ACCEPTED}")
+    if path.suffix.lower() in LISTS:
+        return PairDataset(path, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+    if path.suffix == ".tar" or path.name == INDEX_FILE:
+        return ShardDataset(path, depth_scale=depth_scale, domain=domain)
+    raise InputError(f"{path} is not data in a known format; {ACCEPTED}")
+
+
+def _open_folder(
+    path: Path, *, name: str | None, split: str, allow_missing: bool, depth_scale: float | None, domain: str | None
+) -> DepthDataset:
+    shards = path / split if (path / split / INDEX_FILE).is_file() else path
+    if find_list(path, split):
+        return PairDataset(path, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+    if (shards / INDEX_FILE).is_file():
+        return ShardDataset(shards, depth_scale=depth_scale, domain=domain)
+    if is_saved(path):
+        data = load_saved(path, split=split)
+        return HuggingFaceDataset(data, name=str(path), depth_scale=depth_scale, domain=domain, folder=path)
+    if name in DATASETS:
+        return DATASETS[name](path, split=split, allow_missing=allow_missing)
+    if find_layout(path):
+        return PairDataset(path, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+    if find_shards(path):
+        return ShardDataset(path, depth_scale=depth_scale, domain=domain)
+    looked = f"{split}.csv, {split}.jsonl, {INDEX_FILE}, tar files, folders of photos and depth"
+    raise InputError(f"{path} has none of {looked}, and {name!r} is no published data set; {ACCEPTED}")
+
+
+def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:
+    address, options = _options(text, {"domain", "depth_scale", "config"})
+    if not (found := _HUB.fullmatch(address)):
+        raise InputError(f"cannot open {text}: it is not hf:OWNER/NAME[@REVISION][:SPLIT]; {ACCEPTED}")
+    try:
+        scale = float(options["depth_scale"]) if "depth_scale" in options else facts.depth_scale
+    except ValueError as error:
+        raise InputError(f"cannot open {text}: depth_scale must be the stored value of one metre") from error
+    data = load_hub(
+        found["repo"], split=found["split"] or split, revision=found["revision"], config=options.get("config")
+    )
+    return HuggingFaceDataset(
+        data, name=f"hf:{address}", depth_scale=scale, domain=options.get("domain") or facts.domain
+    )
+
+
+def _open_synthetic(text: str) -> DepthDataset:
+    address, options = _options(text, {"n", "seed", "size"})
+    if address not in SCENES:
+        raise InputError(f"cannot open {text}: there are {', '.join(SCENES)}; {ACCEPTED}")
+    numbers = re.fullmatch(
+        r"(\d{1,9}) (\d{1,9}) (\d{1,5})x(\d{1,5})",
+        " ".join(options.get(name, usual) for name, usual in (("n", "10000"), ("seed", "0"), ("size", "288x384"))),
+    )
+    if not numbers:
+        raise InputError(f"cannot open {text}: n and seed are whole numbers, size is HEIGHTxWIDTH")
+    n, seed, height, width = map(int, numbers.groups())
+    return SyntheticScenes(n, size=(height, width), seed=seed, domains=SCENES[address])
+
+
+def _options(text: str, known: set[str]) -> tuple[str, dict[str, str]]:
+    """What stands between the scheme and the question mark, and the options behind it."""
+    address, _, query = text.partition(":")[2].partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    if unknown := sorted(set(options) - known):
+        raise InputError(f"cannot open {text}: there are no options {unknown}, but {sorted(known)}")
+    return address, options

@@ -1,0 +1,230 @@
+"""The model card of a model: the ``README.md`` that the Hub shows, with what it reads in front."""
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, Literal
+
+from zoedepth.config import (
+    AdaBinsNetworkConfig,
+    AnyModelConfig,
+    BaselineConfig,
+    BtsNetworkConfig,
+    DornNetworkConfig,
+    LocalBinsNetworkConfig,
+    ModelConfig,
+    NewCrfsNetworkConfig,
+    PixelBinsNetworkConfig,
+)
+from zoedepth.metrics import HEADINGS, Metrics
+
+# The Hub takes the names of its list only (huggingface.co/docs/hub/repositories-licenses); these are the ones weights
+# come under. A licence that is not among them goes under "other", which is always right.
+_LICENCES = frozenset({
+    "afl-3.0", "agpl-3.0", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "cc-by-3.0", "cc-by-4.0",
+    "cc-by-sa-3.0", "cc-by-sa-4.0", "cc-by-nc-3.0", "cc-by-nc-4.0", "cc-by-nd-4.0", "cc-by-nc-nd-3.0",
+    "cc-by-nc-nd-4.0", "cc-by-nc-sa-3.0", "cc-by-nc-sa-4.0", "creativeml-openrail-m", "gpl-2.0", "gpl-3.0", "lgpl-2.1",
+    "lgpl-3.0", "mit", "mpl-2.0", "odbl", "odc-by", "openrail", "openrail++", "unknown", "unlicense",
+})  # fmt: skip
+
+_CITATION = r"""
+```bibtex
+@misc{bhat2023zoedepth,
+  title         = {ZoeDepth: Zero-shot Transfer by Combining Relative and Metric Depth},
+  author        = {Bhat, Shariq Farooq and Birkl, Reiner and Wofk, Diana and Wonka, Peter and M{\"u}ller, Matthias},
+  year          = {2023},
+  eprint        = {2302.12288},
+  archivePrefix = {arXiv},
+  primaryClass  = {cs.CV}
+}
+```
+""".strip()
+
+
+def model_card(
+    config: AnyModelConfig,
+    *,
+    name: str,
+    layout: Literal["zoedepth", "huggingface"],
+    licence: str | None = None,
+    trained_on: str | None = None,
+    metrics: Mapping[str, Metrics] | None = None,
+) -> str:
+    """The text of a ``README.md``: YAML for the Hub, then Markdown for people. What is not known is said to be unknown.
+
+    Args:
+        config: of the model.
+        name: how the model is loaded, "organisation/model" on the Hub.
+        layout: whose file format the weights are in; "huggingface" is the one that transformers reads.
+        licence: of the weights: an identifier of the Hub such as "cc-by-nc-4.0", or any text.
+        trained_on: the training data, with its terms.
+        metrics: what was measured, by the name of the data set.
+    """
+    name = _one_line(name)
+    front = _front_matter(name, layout, licence, metrics or {})
+    sections = [
+        f"# {name}",
+        f"{_what(config)}, from a single RGB photo: {_who(config)} [ZoeDepth](https://arxiv.org/abs/2302.12288) "
+        "(Bhat et al. 2023).",
+        _architecture(config),
+        f"## Use\n\n{_use(config, name, layout)}",
+        f"## Measured\n\n{_table(metrics) if metrics else 'Not run.'}",
+        "## Licence\n\nThree things with terms of their own:\n\n"
+        "- Code (the package `zoedepth`): MIT.\n"
+        f"- Weights (this model): {_phrase(licence)}.\n"
+        f"- Training data: {_phrase(trained_on)}. Weights carry the terms of the data they were trained on.",
+        f"## Cite\n\n{_CITATION}",
+    ]
+    return f"---\n{front}---\n\n" + "\n\n".join(sections) + "\n"
+
+
+def _front_matter(name: str, layout: str, licence: str | None, metrics: Mapping[str, Metrics]) -> str:
+    import yaml  # comes with huggingface_hub
+
+    front: dict[str, Any] = {
+        "pipeline_tag": "depth-estimation",
+        "library_name": "transformers" if layout == "huggingface" else "zoedepth",
+        **_licence(licence),
+        "tags": ["depth-estimation", "metric-depth", "zoedepth"],
+    }
+    if metrics:
+        front["model-index"] = [{"name": name, "results": [_result(*item) for item in metrics.items()]}]
+    return yaml.safe_dump(front, sort_keys=False, allow_unicode=True)
+
+
+def _licence(licence: str | None) -> dict[str, str]:
+    """The fields in which the Hub wants a licence: an identifier of its list, or "other" and a name."""
+    if licence is None:
+        return {"license": "unknown"}
+    identifier = licence.strip().lower()
+    return {"license": identifier} if identifier in _LICENCES else {"license": "other", "license_name": _slug(licence)}
+
+
+def _result(data: str, metrics: Metrics) -> dict[str, Any]:
+    return {
+        "task": {"type": "depth-estimation", "name": "Monocular depth estimation"},
+        "dataset": {"type": _slug(data), "name": _one_line(data)},
+        "metrics": [
+            {"type": field.name, "value": float(getattr(metrics, field.name)), "name": HEADINGS[field.name]}
+            for field in fields(metrics)
+        ],
+    }
+
+
+def _what(config: AnyModelConfig) -> str:
+    if config.domains:
+        return "Depth in metres, along the optical axis"
+    return "Relative depth, inverse and up to an unknown scale and shift"
+
+
+_BASELINES = {
+    BtsNetworkConfig: "BTS (Lee et al. 2019)",
+    AdaBinsNetworkConfig: "AdaBins (Bhat et al. 2021)",
+    LocalBinsNetworkConfig: "LocalBins (Bhat et al. 2022)",
+    PixelBinsNetworkConfig: "PixelBins (Sarwari et al. 2021)",
+    NewCrfsNetworkConfig: "NeWCRFs (Yuan et al. 2022)",
+    DornNetworkConfig: "DORN (Fu et al. 2018)",
+}
+
+
+def _who(config: AnyModelConfig) -> str:
+    if isinstance(config, BaselineConfig):
+        return f"{_BASELINES[type(config.network)]}, a baseline of"
+    return "a model of"
+
+
+def _architecture(config: AnyModelConfig) -> str:
+    height, width = config.size
+    size = (
+        "photos are resized near it, their aspect ratio kept" if config.keep_aspect_ratio else "the only one it takes"
+    )
+    lines = [
+        f"- Encoder: `{config.encoder_name}` (timm).",
+        f"- Input: RGB, trained at {height} x {width} pixels (height x width): {size}.",
+    ]
+    if not config.domains:
+        return "\n".join([*lines, "- Heads: none. Metric heads can be trained on it: `zoedepth train ... --init`."])
+    lines += [
+        f"- Heads: {len(config.domains)}, {_routing(config)}.",
+        "",
+        "| domain | nearest depth | farthest depth |",
+        "|---|---|---|",
+        *(f"| {_cell(domain.name)} | {domain.min_depth:g} m | {domain.max_depth:g} m |" for domain in config.domains),
+    ]
+    return "\n".join(lines)
+
+
+def _routing(config: AnyModelConfig) -> str:
+    if len(config.domains) == 1:
+        return "for every photo"
+    if _is_labeled(config):
+        return "one for each domain, which the caller names"
+    return "one for each domain, which the model chooses for every photo"
+
+
+def _is_labeled(config: AnyModelConfig) -> bool:
+    return isinstance(config, ModelConfig) and config.router.kind == "labeled"
+
+
+def _use(config: AnyModelConfig, name: str, layout: str) -> str:
+    domain = ""
+    if len(config.domains) > 1 and _is_labeled(config):
+        domain = f", domain={_quoted(config.domains[0].name)}"
+    if not config.domains:
+        return _python(
+            "from zoedepth import Predictor, load_model",
+            f"predictor = Predictor(load_model({_quoted(name)}))",
+            'relative = predictor.relative("photo.jpg")  # float32 (height, width), near is large',
+        )
+    ours = _python(
+        "from zoedepth import Predictor, load_model",
+        f"predictor = Predictor(load_model({_quoted(name)}))",
+        f'depth = predictor("photo.jpg"{domain}).depth  # metres, float32 (height, width)',
+    )
+    if layout == "zoedepth":
+        return ours
+    theirs = _python(
+        "from transformers import pipeline",
+        f'estimate = pipeline("depth-estimation", model={_quoted(name)})',
+        'depth = estimate("photo.jpg")["predicted_depth"]  # metres, (height, width)',
+    )
+    note = (
+        "\n\nGive transformers one photo at a time: it chooses the head of a whole batch by one vote, so that a street "
+        "in a batch of rooms comes out as a room. `zoedepth` chooses for every photo."
+    )
+    return f"{ours}\n\nOr with transformers:\n\n{theirs}{note if len(config.domains) > 1 else ''}"
+
+
+def _python(*lines: str) -> str:
+    return "\n".join(("```python", *lines, "```"))
+
+
+def _quoted(text: str) -> str:
+    """A Python string, in the double quotes of the lines around it."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+def _table(metrics: Mapping[str, Metrics]) -> str:
+    names = [field.name for field in fields(Metrics)]
+    rows = [["data", *(HEADINGS[name] for name in names)], ["---"] * (len(names) + 1)]
+    rows += [[_cell(data), *(f"{getattr(values, name):.3f}" for name in names)] for data, values in metrics.items()]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _one_line(text: str) -> str:
+    """Text that cannot end the paragraph, heading or list item it is in."""
+    return " ".join(text.split())
+
+
+def _phrase(text: str | None) -> str:
+    return _one_line(text or "").rstrip(".") or "not stated"
+
+
+def _cell(text: str) -> str:
+    return _one_line(text).replace("|", "\\|")
+
+
+def _slug(text: str) -> str:
+    """Small letters, digits, dots and dashes: what the Hub takes as an identifier."""
+    return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "unknown"

@@ -1,0 +1,87 @@
+"""Published weights by name: what they are, where they come from, and where they lie once fetched. No torch here."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+ASSETS = Path(__file__).parents[1] / "assets"
+
+_ZOEDEPTH = "https://github.com/isl-org/ZoeDepth/releases/download/v1.0"
+_MIDAS = "https://github.com/isl-org/MiDaS/releases/download/v3_1"
+
+
+@dataclass(frozen=True)
+class Release:
+    """Weights somebody published, or that are in the package."""
+
+    what: str
+    """One line: what the model is for."""
+    file: str
+    """Name of the file."""
+    size: str
+    """Of the file, about."""
+    licence: str
+    """Of the weights, as their publisher states it."""
+    url: str | None = None
+    """Where the file is fetched from; None: it is in the package."""
+    hub_id: str | None = None
+    """The same model at Hugging Face, to be loaded by this id."""
+
+    @property
+    def path(self) -> Path:
+        """Where the file is, or will be once it is fetched."""
+        return ASSETS / self.file if self.url is None else download_folder() / self.file
+
+    @property
+    def present(self) -> bool:
+        """Whether the file is on this machine."""
+        return self.path.is_file()
+
+
+RELEASES: dict[str, Release] = {
+    "zoed-lite": Release(
+        "indoor and outdoor, small: the model in the package",
+        "zoed-lite.safetensors",
+        "10.6 MB",
+        "non-commercial research",
+    ),
+    "zoed-m12-n": Release(
+        "indoor (NYU Depth v2, 10 m)",
+        "ZoeD_M12_N.pt",
+        "1.4 GB",
+        "MIT",
+        f"{_ZOEDEPTH}/ZoeD_M12_N.pt",
+        "Intel/zoedepth-nyu",
+    ),
+    "zoed-m12-k": Release(
+        "driving (KITTI, 80 m)",
+        "ZoeD_M12_K.pt",
+        "1.4 GB",
+        "MIT",
+        f"{_ZOEDEPTH}/ZoeD_M12_K.pt",
+        "Intel/zoedepth-kitti",
+    ),
+    "zoed-m12-nk": Release(
+        "indoor and driving, with a router (NYU and KITTI)",
+        "ZoeD_M12_NK.pt",
+        "1.4 GB",
+        "MIT",
+        f"{_ZOEDEPTH}/ZoeD_M12_NK.pt",
+        "Intel/zoedepth-nyu-kitti",
+    ),
+    "dpt-beit-large-384": Release(
+        "relative depth only (MiDaS v3.1): what to fine-tune from",
+        "dpt_beit_large_384.pt",
+        "1.4 GB",
+        "MIT",
+        f"{_MIDAS}/dpt_beit_large_384.pt",
+    ),
+}
+"""Name for ``load_model`` → release."""
+
+
+def download_folder() -> Path:
+    """Where torch.hub puts checkpoints: those the original ZoeDepth fetched are found again."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache")
+    home = Path(os.environ.get("TORCH_HOME") or cache / "torch")
+    return home.expanduser() / "hub" / "checkpoints"

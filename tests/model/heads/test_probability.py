@@ -1,0 +1,82 @@
+import pytest
+import torch
+
+from zoedepth.model.heads.probability import LogBinomial, Softmax, log_binomial, log_binomial_coefficients
+
+
+@pytest.mark.parametrize("n_bins", [2, 64, 256])
+def test_coefficients_are_finite_and_symmetric(n_bins: int):
+    coefficients = log_binomial_coefficients(n_bins)
+    assert coefficients.shape == (n_bins,)
+    assert coefficients.isfinite().all()
+    assert torch.allclose(coefficients, coefficients.flip(0), atol=1e-4)
+
+
+def test_extremes_of_q_choose_the_first_and_the_last_bin():
+    p = log_binomial(torch.tensor([0.0, 1.0]).view(2, 1, 1, 1), torch.ones(2, 1, 1, 1), log_binomial_coefficients(16))
+    assert p[:, :, 0, 0].argmax(dim=1).tolist() == [0, 15]
+    assert p[0, 0].item() > 0.98
+    assert p[1, 15].item() > 0.98
+
+
+def test_mirrored_q_mirrors_the_bins():
+    coefficients = log_binomial_coefficients(16)
+    t = torch.full((1, 1, 1, 1), 0.7)
+    left, right = (log_binomial(torch.full((1, 1, 1, 1), q), t, coefficients) for q in (0.3, 0.7))
+    assert torch.allclose(left, right.flip(1), atol=1e-5)
+
+
+def test_extremes_have_finite_values_and_gradients():
+    q = torch.tensor([0.0, 1e-6, 0.5, 1.0]).view(4, 1, 1, 1).requires_grad_()
+    t = torch.full((4, 1, 1, 1), 0.0212, requires_grad=True)
+    p = log_binomial(q, t, log_binomial_coefficients(64))
+    (p * torch.arange(64.0).view(1, 64, 1, 1)).sum().backward()
+    assert p.isfinite().all()
+    assert q.grad.isfinite().all()
+    assert t.grad.isfinite().all()
+
+
+def test_half_precision_input_is_computed_in_float32():
+    q, t = torch.full((1, 1, 2, 2), 0.25), torch.full((1, 1, 2, 2), 0.5)
+    coefficients = log_binomial_coefficients(64)
+    exact = log_binomial(q, t, coefficients)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        half = log_binomial(q.bfloat16(), t.bfloat16(), coefficients)
+    assert half.dtype == torch.float32
+    assert torch.equal(half, exact)  # both numbers are exact in bfloat16
+
+
+def test_temperature_stays_between_its_bounds():
+    """Whatever comes in: the sharpest distribution is that of the lowest t, the flattest that of the highest."""
+    torch.manual_seed(0)
+    predictor = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.5, max_temperature=2.0)
+    p = predictor([100 * torch.randn(50, 8, 1, 1)], torch.ones(1, 1, 1, 1)).probability.flatten(1)
+    coefficients = log_binomial_coefficients(16)
+    q = torch.linspace(0, 1, 1001).view(-1, 1, 1, 1)
+    peak = {t: log_binomial(q, torch.full_like(q, t), coefficients).flatten(1).max(dim=1).values for t in (0.5, 2.0)}
+    flattest, sharpest = peak[2.0].min(), peak[0.5].max()
+    assert (p.max(dim=1).values >= flattest - 1e-3).all()
+    assert (p.max(dim=1).values <= sharpest + 1e-3).all()
+
+
+@pytest.mark.parametrize("factor", [2, 4])
+def test_hidden_width_is_the_input_width_divided_by_the_factor(factor: int):
+    binomial = LogBinomial(33, 8, bottleneck_factor=factor, min_temperature=0.1, max_temperature=5.0)
+    softmax = Softmax(33, 8, bottleneck_factor=factor)
+    for predictor in (binomial, softmax):
+        assert next(predictor.parameters()).shape[:2] == (33 // factor, 33)
+
+
+def test_softmax_is_free_to_have_two_modes():
+    torch.manual_seed(0)
+    predictor = Softmax(8, 16, bottleneck_factor=1)
+    p = predictor([10 * torch.randn(20, 8, 1, 1)], torch.ones(1, 1, 1, 1)).probability.flatten(1)
+    assert torch.allclose(p.sum(dim=1), torch.ones(20), atol=1e-5)
+    changes = p.diff(dim=1).sign().diff(dim=1).abs().gt(0).sum(dim=1)
+    assert (changes > 1).any()
+
+
+def test_coefficients_are_no_weights():
+    """They follow from the number of bins, so files do not carry them."""
+    predictor = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.1, max_temperature=5.0)
+    assert all(name.startswith("mlp.") for name in predictor.state_dict())

@@ -1,0 +1,137 @@
+"""Steps on checkpoints of the released sizes, each a process of its own so that its memory can be told.
+
+python -m tests.weights.layouts.full_size STEP ARGUMENTS    # prints one JSON object
+"""
+
+import ast
+import json
+import re
+import sys
+from pathlib import Path
+
+import torch
+
+from zoedepth.model.zoedepth import ZoeDepth
+
+KEYS = Path(__file__).parent / "keys"
+
+
+def write(keys: str, target: str) -> dict:
+    """A ``.pt`` of the original's layout with the names and shapes of a key list and random values."""
+    generator = torch.Generator().manual_seed(0)
+    state = {}
+    for line in (KEYS / keys).read_text().splitlines():
+        name, shape, kind = re.fullmatch(r"(\S+) (\(.*\)) torch\.(\w+)", line).groups()
+        shape, dtype = ast.literal_eval(shape), getattr(torch, kind)
+        if dtype is torch.int64:
+            state[name] = torch.arange(shape[1]).view(shape)
+            continue
+        if name.endswith("K_minus_1"):
+            state[name] = torch.full(shape, 63.0)
+            continue
+        value = torch.empty(shape, dtype=dtype).uniform_(-1, 1, generator=generator)
+        if value.ndim > 1:
+            value *= (3 / value[0].numel()) ** 0.5
+        elif "norm" in name and name.endswith("weight"):
+            value = 1 + 0.1 * value
+        else:
+            value *= 0.1
+        state[name] = value
+    torch.save({"model": state, "optimizer": None, "epoch": 5}, target)
+    return {"weights": len(state)}
+
+
+def load(path: str) -> dict:
+    """Load and predict; the most memory that loading took beyond what there was before, in bytes."""
+    from zoedepth.weights.load import load_model
+
+    _import_timm()
+    before = _peak()
+    model = load_model(path)
+    peak = _peak() - before
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        output = model(pixels)
+    return {
+        "peak": peak,
+        "size": Path(path).stat().st_size,
+        "config": repr(model.config),
+        "depth": [float(output.depth.min()), float(output.depth.max())],
+        "finite": bool(output.depth.isfinite().all()),
+        "routed": _route(model) if len(model.config.domains) > 1 else None,
+    }
+
+
+def _route(model: ZoeDepth) -> dict:
+    """Images routed to different heads, in one batch and alone; and by the released code's vote."""
+    generator = torch.Generator().manual_seed(0)
+    pixels = torch.rand(3, 3, 64, 96, generator=generator) * torch.tensor([1.0, 0.1, 0.5])[:, None, None, None]
+    with torch.no_grad():
+        logits = torch.cat([model(one[None]).domain_logits for one in pixels])
+        # Random weights prefer one head whatever the image: shift the scores so that these images differ.
+        gap = (logits[:, 1] - logits[:, 0]).sort().values
+        model.router.classifier.mlp[2].bias[0] += (gap[0] + gap[1]) / 2
+        together = model(pixels)
+        alone = [model(one[None]) for one in pixels]
+        model.router.by_batch = True
+        voted = model(pixels)
+        total = together.domain_logits.sum(dim=0)
+        chosen = model(pixels, domain=torch.full((3,), int(total.argmax())))
+    difference = (together.depth - torch.cat([one.depth for one in alone])).abs().max()
+    return {
+        "domains": together.domain.tolist(),
+        "domains_alone": [int(one.domain) for one in alone],
+        "difference": float(difference),
+        "voted": voted.domain.tolist(),
+        "vote": int(total.argmax()),
+        "voted_difference": float((voted.depth - chosen.depth).abs().max()),
+    }
+
+
+def compare(one: str, other: str) -> dict:
+    """Which weights of two ``.pt`` files differ."""
+    first, second = (torch.load(path, mmap=True, weights_only=True)["model"] for path in (one, other))
+    return {
+        "missing": sorted(first.keys() - second.keys()),
+        "added": sorted(second.keys() - first.keys()),
+        "changed": sorted(
+            name
+            for name in first.keys() & second.keys()
+            if first[name].dtype != second[name].dtype or not torch.equal(first[name], second[name])
+        ),
+    }
+
+
+def transformers(folder: str) -> dict:
+    """Load a folder in transformers, and compare its depth with ours."""
+    from transformers import ZoeDepthForDepthEstimation
+
+    from zoedepth.weights.load import load_model
+
+    theirs, report = ZoeDepthForDepthEstimation.from_pretrained(folder, output_loading_info=True)
+    model = load_model(folder)
+    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        expected, found = theirs.eval()(2 * pixels - 1).predicted_depth, model(pixels).depth[:, 0]
+    return {
+        "report": {name: sorted(map(str, values)) for name, values in report.items() if values},
+        "relative_difference": float(((found - expected) / expected).abs().max()),
+    }
+
+
+def _import_timm() -> None:
+    """Import what building a model imports, so that its memory does not count as the weights'."""
+    import timm
+
+    timm.create_model("beit_base_patch16_384", depth=1, embed_dim=16, num_heads=1, num_classes=0)
+
+
+def _peak() -> int:
+    """Most memory this process had so far, bytes. (ru_maxrss would count the parent's.)"""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(re.search(r"VmHWM:\s+(\d+) kB", status)[1])
+
+
+if __name__ == "__main__":
+    steps = {step.__name__: step for step in (write, load, compare, transformers)}
+    print(json.dumps(steps[sys.argv[1]](*sys.argv[2:])))

@@ -1,0 +1,329 @@
+"""Ours against transformers' own ZoeDepth: small, random, of every kind; no released weights are needed."""
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from safetensors.torch import load_file, save_file
+from tests.twins import KITTI, NYU, twin, twin_config
+from transformers import ZoeDepthForDepthEstimation, ZoeDepthImageProcessor
+
+from zoedepth.config import AttractorConfig, Domain, ModelConfig
+from zoedepth.errors import InputError
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
+from zoedepth.presets import PRESETS
+from zoedepth.weights.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from zoedepth.weights.layouts import huggingface
+from zoedepth.weights.load import load_model, model_of
+
+KINDS = pytest.mark.parametrize(
+    ("heads", "centers"),
+    [
+        ((NYU,), "softplus"),
+        ((NYU,), "normed"),
+        ((NYU, KITTI), "softplus"),
+        ((NYU, KITTI), "normed"),
+    ],
+    ids=["one-softplus", "one-normed", "two-softplus", "two-normed"],
+)
+CASUAL = {"rtol": 1e-5, "atol": 1e-5}
+
+
+def pixels(*size: int, seed: int = 0) -> torch.Tensor:
+    return torch.rand(*size, generator=torch.Generator().manual_seed(seed))
+
+
+def ours(theirs: ZoeDepthForDepthEstimation) -> ZoeDepth:
+    """Our model of their weights."""
+    config, weights, table = huggingface.read(theirs.state_dict(), theirs.config.to_dict(), layout=5)
+    name_in_file = lambda name: "/".join(table.theirs(name))  # noqa: E731
+    return model_of(Checkpoint(config, weights, "huggingface", name_in_file), source="twin")
+
+
+def their_relative(theirs: ZoeDepthForDepthEstimation, x: torch.Tensor) -> torch.Tensor:
+    maps, _ = theirs.neck(theirs.backbone(x).feature_maps, x.shape[2] // 16, x.shape[3] // 16)
+    return theirs.relative_head(maps)[0]
+
+
+# --- the network ------------------------------------------------------------------------------------------------------
+
+
+@KINDS
+@pytest.mark.parametrize("native", [64, (64, 96)], ids=["square", "oblong"])
+@pytest.mark.parametrize("size", [(64, 64), (64, 96), (160, 96)], ids=str)
+@torch.no_grad()
+def test_network_equals_theirs(heads: tuple, centers: str, native: Any, size: tuple[int, int]):
+    """At the size of the position tables, and at sizes they have to be resized to."""
+    theirs = twin(twin_config(heads=heads, centers=centers, size=native))
+    model, x = ours(theirs), pixels(1, 3, *size)
+    expected, found = theirs(2 * x - 1), model(x)
+    torch.testing.assert_close(found.depth[:, 0], expected.predicted_depth, **CASUAL)
+    torch.testing.assert_close(found.relative[:, 0], their_relative(theirs, 2 * x - 1), **CASUAL)
+    assert found.depth.std() > 1e-3, "a constant proves nothing"
+    if len(heads) > 1:
+        torch.testing.assert_close(found.domain_logits, expected.domain_logits, **CASUAL)
+
+
+@torch.no_grad()
+def test_unusual_widths_are_read_from_the_shapes():
+    heads = ({**NYU, "n_bins": 16}, {**KITTI, "n_bins": 16})
+    config = twin_config(
+        heads=heads, patch_transformer_intermediate_size=48, patch_transformer_num_attention_heads=8, max_temp=5.0
+    )
+    config.backbone_config.intermediate_size = 80
+    theirs = twin(config)
+    model, x = ours(theirs), pixels(1, 3, 64, 64)
+    assert model.config.router.attention_heads == 8
+    assert model.config.encoder.mlp_width == 80
+    assert model.config.head.max_temperature == 5.0
+    torch.testing.assert_close(model(x).depth[:, 0], theirs(2 * x - 1).predicted_depth, **CASUAL)
+    torch.testing.assert_close(model(x).domain_logits, theirs(2 * x - 1).domain_logits, **CASUAL)
+
+
+@torch.no_grad()
+def test_taps_are_those_of_their_config():
+    config = twin_config()
+    config.backbone_config.num_hidden_layers = 8
+    config.backbone_config.stage_names = ["stem", *(f"stage{i}" for i in range(1, 9))]
+    config.backbone_config.set_output_features_output_indices(
+        out_features=["stage1", "stage4", "stage5", "stage8"], out_indices=None
+    )
+    theirs = twin(config)
+    model, x = ours(theirs), pixels(1, 3, 64, 64)
+    assert model.config.encoder.taps == (0, 3, 4, 7)
+    torch.testing.assert_close(model(x).depth[:, 0], theirs(2 * x - 1).predicted_depth, **CASUAL)
+
+
+@torch.no_grad()
+def test_their_default_layer_norm_is_not_what_beit_was_trained_with():
+    """Why their eps is set to 1e-6 in these tests, and written into the folders we make."""
+    config = twin_config()
+    theirs = twin(config)
+    model, x = ours(theirs), pixels(1, 3, 64, 64)
+    for layer in theirs.backbone.modules():
+        if isinstance(layer, torch.nn.LayerNorm):
+            layer.eps = 1e-2
+    assert not torch.allclose(model(x).depth[:, 0], theirs(2 * x - 1).predicted_depth, **CASUAL)
+
+
+# --- the batch's vote -------------------------------------------------------------------------------------------------
+
+
+def disagreeing(theirs: ZoeDepthForDepthEstimation) -> torch.Tensor:
+    """Two images that take different heads, after the scores are shifted so that they do."""
+    x = torch.cat([pixels(1, 3, 64, 64), 0.2 * pixels(1, 3, 64, 64, seed=1)])
+    logits = torch.cat([theirs(2 * one[None] - 1).domain_logits for one in x])
+    middle = (logits[:, 0] - logits[:, 1]).mean()
+    theirs.metric_head.mlp_classifier.linear2.bias.data[1] += middle
+    return x
+
+
+@torch.no_grad()
+def test_each_image_of_a_batch_takes_its_own_head_and_compat_reproduces_their_vote():
+    theirs = twin(twin_config(heads=(NYU, KITTI)))
+    x = disagreeing(theirs)
+    model = ours(theirs)
+    alone = torch.cat([model(one[None]).depth for one in x])
+    assert model(x).domain.tolist() in ([0, 1], [1, 0])
+    torch.testing.assert_close(model(x).depth, alone, **CASUAL)
+    expected = torch.cat([theirs(2 * one[None] - 1).predicted_depth for one in x])
+    torch.testing.assert_close(alone[:, 0], expected, **CASUAL)
+
+    config, weights, _ = huggingface.read(theirs.state_dict(), theirs.config.to_dict(), layout=5)
+    voting = model_of(Checkpoint(config, weights, "", str), source="twin", compat=["batch-vote"])
+    logits = voting(x).domain_logits
+    assert logits is not None
+    assert set(voting(x).domain.tolist()) == {int(logits.sum(dim=0).argmax())}
+    torch.testing.assert_close(voting(x).depth[:, 0], theirs(2 * x - 1).predicted_depth, **CASUAL)
+    assert not torch.allclose(voting(x).depth, alone, atol=1e-4)
+
+
+# --- through the processor --------------------------------------------------------------------------------------------
+
+PHOTOS = {"landscape": (48, 64), "portrait": (90, 55), "panorama": (40, 200), "tiny": (9, 11), "even": (128, 128)}
+
+
+@KINDS
+@pytest.mark.parametrize("photo", PHOTOS)
+@pytest.mark.parametrize("flip", [False, True])
+@torch.no_grad()
+def test_photos_through_their_processor_and_post_processing(heads: tuple, centers: str, photo: str, flip: bool):
+    """Padding, network size, resizing, mirror average, bicubic way back: within a millimetre."""
+    theirs = twin(twin_config(heads=heads, centers=centers))
+    height, width = PHOTOS[photo]
+    noise = np.random.default_rng(0).integers(0, 256, (height // 3, width // 3, 3), dtype=np.uint8)
+    image = Image.fromarray(noise).resize((width, height), Image.Resampling.BICUBIC)
+    size = {"height": 64, "width": 96}
+    processor = ZoeDepthImageProcessor(
+        size=size, ensure_multiple_of=32, image_mean=[0.5, 0.5, 0.5], image_std=[0.5, 0.5, 0.5]
+    )
+    inputs = processor(images=image, return_tensors="pt")["pixel_values"]
+    flipped = theirs(inputs.flip(-1)) if flip else None
+    result = processor.post_process_depth_estimation(
+        theirs(inputs), source_sizes=[(height, width)], outputs_flipped=flipped
+    )
+    config, weights, _ = huggingface.read(
+        theirs.state_dict(), theirs.config.to_dict(), layout=5, preprocessor={"size": size}
+    )
+    # A photo and its mirror image take one head here, each its own there.
+    compat = ["batch-vote"] if len(heads) > 1 else []
+    model = model_of(Checkpoint(config, weights, "", str), source="twin", compat=compat)
+    predictor = Predictor(model, flip_average=flip)
+    assert predictor.network_size((height, width)) == tuple(inputs.shape[2:])
+    np.testing.assert_allclose(predictor(image).depth, result[0]["predicted_depth"].numpy(), atol=1e-3)
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+@KINDS
+@torch.no_grad()
+def test_their_folder_loads_and_ours_loads_there(heads: tuple, centers: str, tmp_path: Path):
+    theirs = twin(twin_config(heads=heads, centers=centers))
+    theirs.save_pretrained(tmp_path / "theirs")
+    x = pixels(1, 3, 64, 96)
+    expected = theirs(2 * x - 1).predicted_depth
+    torch.testing.assert_close(load_model(tmp_path / "theirs")(x).depth[:, 0], expected, **CASUAL)
+
+    write_checkpoint(read_checkpoint(tmp_path / "theirs"), tmp_path / "ours", to="huggingface")
+    again, report = ZoeDepthForDepthEstimation.from_pretrained(tmp_path / "ours", output_loading_info=True)
+    assert not any(report.values()), report
+    assert torch.equal(again.eval()(2 * x - 1).predicted_depth, expected)
+    assert load_model(tmp_path / "ours").config == load_model(tmp_path / "theirs").config
+
+
+def test_folder_we_write_has_the_processor_of_the_original(tmp_path: Path):
+    theirs = twin(twin_config())
+    theirs.save_pretrained(tmp_path / "theirs")
+    write_checkpoint(read_checkpoint(tmp_path / "theirs"), tmp_path / "ours", to="huggingface")
+    processor = ZoeDepthImageProcessor.from_pretrained(tmp_path / "ours")
+    image = Image.new("RGB", (640, 480))
+    assert processor(images=image, return_tensors="pt")["pixel_values"].shape == (1, 3, 384, 512)
+    assert tuple(processor.image_mean) == (0.5, 0.5, 0.5)
+
+
+@KINDS
+@torch.no_grad()
+def test_names_of_transformers_5_and_of_4_are_the_same_model(heads: tuple, centers: str, tmp_path: Path):
+    theirs = twin(twin_config(heads=heads, centers=centers))
+    theirs.save_pretrained(tmp_path / "model")
+    new = {name: value.clone() for name, value in theirs.state_dict().items()}
+    old = load_file(tmp_path / "model" / "model.safetensors")
+    names = tuple(head["name"] for head in heads)
+    to_old = huggingface.table(names, layout=4).to_theirs(huggingface.table(names, layout=5).to_ours(new))
+    assert huggingface.layout_of(new) == 5
+    assert huggingface.layout_of(to_old) == 4
+    x = pixels(1, 3, 64, 64)
+    expected = theirs(2 * x - 1).predicted_depth
+    for weights in (new, {**to_old}, old):
+        save_file({name: value.clone() for name, value in weights.items()}, tmp_path / "model" / "model.safetensors")
+        torch.testing.assert_close(load_model(tmp_path / "model")(x).depth[:, 0], expected, **CASUAL)
+        # The file alone, its config beside it.
+        file = tmp_path / "model" / "model.safetensors"
+        torch.testing.assert_close(load_model(file)(x).depth[:, 0], expected, **CASUAL)
+
+
+def test_heads_of_other_names_keep_them(tmp_path: Path):
+    heads = ({**NYU, "name": "kitchen"}, {**KITTI, "name": "street"})
+    twin(twin_config(heads=heads)).save_pretrained(tmp_path / "theirs")
+    model = load_model(tmp_path / "theirs")
+    assert model.config.domains == (Domain("kitchen", 1e-3, 10.0), Domain("street", 1e-3, 80.0))
+    write_checkpoint(read_checkpoint(tmp_path / "theirs"), tmp_path / "ours", to="huggingface")
+    assert load_model(tmp_path / "ours").config == model.config
+
+
+# --- the range of ZoeD-K ----------------------------------------------------------------------------------------------
+
+
+def released_k(max_depth: float) -> ModelConfig:
+    """What is read from the folder of a full-size K whose config says this range."""
+    lines = (Path(__file__).parent / "keys/huggingface-n.txt").read_text().splitlines()
+    with torch.device("meta"):
+        weights = {}
+        for name, shape, _ in (re.fullmatch(r"(\S+) (\(.*\)) (\S+)", line).groups() for line in lines):
+            weights[name] = torch.empty(ast.literal_eval(shape))
+        for i, n in enumerate((32, 16, 8, 2)):  # normed: pairs of points
+            weights[f"metric_head.attractors.{i}.conv2.weight"] = torch.empty(n, 128, 1, 1)
+            weights[f"metric_head.attractors.{i}.conv2.bias"] = torch.empty(n)
+    bins = [{"name": "nyu", "n_bins": 64, "min_depth": 1e-3, "max_depth": max_depth}]
+    backbone = {"image_size": 384, "out_features": ["stage6", "stage12", "stage18", "stage24"]}
+    config = {"bin_centers_type": "normed", "bin_configurations": bins, "backbone_config": backbone}
+    return huggingface.read(weights, config, layout=5)[0]
+
+
+def test_published_k_says_10_m_and_is_used_to_80_m():
+    with pytest.warns(UserWarning, match="trained to 80 m"):
+        config = released_k(10.0)
+    assert config.domains == PRESETS["zoed-m12-k"].domains
+    assert config == PRESETS["zoed-m12-k"]
+
+
+def test_k_that_says_80_m_is_believed():
+    assert [domain.max_depth for domain in released_k(80.0).domains] == [80.0]
+
+
+def test_k_of_other_sizes_is_believed_too():
+    """A small twin that says 10 m means it."""
+    theirs = twin(twin_config(centers="normed"))
+    config, _, _ = huggingface.read(theirs.state_dict(), theirs.config.to_dict(), layout=5)
+    assert [domain.max_depth for domain in config.domains] == [10.0]
+
+
+@torch.no_grad()
+def test_ten_metres_are_an_affine_function_of_eighty():
+    """The formula of the documentation, in their code: the fractions do not know the range."""
+    near, far = (twin(twin_config(heads=(head,), centers="normed")) for head in (NYU, KITTI))
+    far.load_state_dict(near.state_dict())
+    x = pixels(1, 3, 64, 64)
+    d10, d80 = near(x).predicted_depth, far(x).predicted_depth
+    torch.testing.assert_close(d80, (d10 - 1e-3) * 79.999 / 9.999 + 1e-3, rtol=1e-5, atol=1e-5)
+    compat = model_of(
+        Checkpoint(*huggingface.read(far.state_dict(), far.config.to_dict(), layout=5)[:2], "", str),
+        source="twin",
+        compat=["10m"],
+    )
+    torch.testing.assert_close(compat((x + 1) / 2).depth[:, 0], d10, **CASUAL)
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"readout_type": "add"}, "readout_type"),
+        ({"add_projection": True}, "add_projection"),
+        ({"reassemble_factors": [4, 2, 1, 1]}, "reassemble_factors"),
+        ({"bin_centers_type": "hybrid1"}, "hybrid1"),
+        ({"bin_configurations": [NYU, KITTI, NYU]}, "3 heads"),
+        ({"bin_configurations": "nyu"}, "bin_configurations"),
+        ({"min_temp": "cold"}, "min_temp"),
+        ({"backbone_config": {"model_type": "swin"}}, "swin"),
+        ({"backbone_config": 3}, "backbone_config"),
+        ({"backbone_config": {"image_size": "large"}}, "image_size"),
+        ({"backbone_config": {"image_size": 64, "out_indices": [1, 2]}}, "four stages"),
+    ],
+)
+def test_config_of_another_network_is_refused(change: dict[str, Any], message: str):
+    theirs = twin(twin_config())
+    with pytest.raises(InputError, match=message):
+        huggingface.read(theirs.state_dict(), {**theirs.config.to_dict(), **change}, layout=5)
+
+
+@pytest.mark.parametrize("preset", ["zoed-lite", "zoed-nk-nk"])
+def test_model_they_have_not_is_refused_with_the_reason(preset: str):
+    with pytest.raises(InputError, match="transformers' ZoeDepth has no such model"):
+        huggingface.write(PRESETS[preset], {})
+
+
+def test_reasons_are_named():
+    released = PRESETS["zoed-m12-n"]
+    config = ModelConfig(released.encoder, head=AttractorConfig(kind="exponential", reduce="mean"))
+    with pytest.raises(InputError, match="kind 'exponential'"):
+        huggingface.write(config, {})
