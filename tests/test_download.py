@@ -1,3 +1,5 @@
+"""Downloads from a real server: whole or not at all, taken up where they stopped."""
+
 import hashlib
 import signal
 import socket
@@ -6,15 +8,17 @@ import sys
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from http.client import HTTPResponse
 from pathlib import Path
 from threading import Event
 from types import SimpleNamespace
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
 from tests.servers import FileServer
 
-from zoedepth.download import download
+from zoedepth.download import TIMEOUT, download
 from zoedepth.errors import InputError
 
 CONTENT = np.random.default_rng(0).bytes(300_000)
@@ -77,18 +81,46 @@ def test_empty_file(server: FileServer, path: Path):
     assert download(server.url, path).read_bytes() == b""
 
 
-def test_progress_bar_is_drawn_on_a_terminal_only(server: FileServer, path: Path, capfd: pytest.CaptureFixture[str]):
-    download(server.url, path)
+def test_progress_is_told_from_the_first_byte_to_the_last(server: FileServer, path: Path, capfd):
+    told = []
+    download(server.url, path, name="ZoeD", progress=lambda *now: told.append(now))
+    assert {(name, total) for name, _, total in told} == {("ZoeD", 300_000)}
+    done = [done for _, done, _ in told]
+    assert done[0] == 0
+    assert done[-1] == 300_000
+    assert done == sorted(done)
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
 
-def test_progress_bar_has_the_name(server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch, capfd):
-    monkeypatch.setenv("FORCE_COLOR", "1")  # to rich, a terminal
-    download(server.url, path, name="ZoeD [large]")
-    captured = capfd.readouterr()
-    assert captured.out == ""
-    assert "ZoeD [large]" in captured.err
+def test_progress_goes_on_where_the_download_stopped(server: FileServer, path: Path):
+    told = []
+    cut(server, path)
+    download(server.url, path, progress=lambda *now: told.append(now))
+    assert told[0] == (path.name, 100_000, 300_000)
+    assert told[-1] == (path.name, 300_000, 300_000)
+
+
+def test_progress_of_a_file_of_unknown_length_has_no_total(server: FileServer, path: Path):
+    server.length = False
+    told = []
+    download(server.url, path, progress=lambda *now: told.append(now))
+    assert told[-1] == (path.name, 300_000, None)
+
+
+def test_large_download_without_a_callback_is_logged_and_a_small_one_is_not(
+    server: FileServer, path: Path, caplog: pytest.LogCaptureFixture
+):
+    """So that somebody who calls from Python sees what it waits for."""
+    download(server.url, path)
+    assert caplog.records == []
+    server.content = bytes(2_000_000)
+    large = path.with_name("large")
+    download(server.url, large, name="ZoeD")
+    download(server.url, path.with_name("other"), progress=lambda *_: None)
+    (record,) = caplog.records
+    assert (record.name, record.levelname) == ("zoedepth", "WARNING")
+    assert record.getMessage() == f"downloading ZoeD (2 MB) from {server.url} to {large}"
 
 
 # --- taken up ---------------------------------------------------------------------------------------------------------
@@ -221,7 +253,10 @@ def test_wrong_hash_deletes_what_arrived_and_shows_both(server: FileServer, path
 @pytest.mark.parametrize("status", [401, 404, 500, 503])
 def test_refusal_names_the_address_and_the_other_way(server: FileServer, path: Path, status: int):
     server.status = status
-    with pytest.raises(InputError, match=rf"model.safetensors from {server.url}: HTTP Error {status}.* put at {path}"):
+    refusal = rf"model.safetensors from {server.url}: HTTP Error {status}.* put it at {path}"
+    with pytest.raises(InputError, match=refusal):
+        InputError, match=rf"model.safetensors from {server.url}: HTTP Error {status}.* put it at {path}"
+    ):
         download(server.url, path)
     assert not path.exists()
 
@@ -240,14 +275,22 @@ def test_server_that_is_not_there(path: Path):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))  # bound, but nobody listens
         url = f"http://127.0.0.1:{taken.getsockname()[1]}/model"
-        with pytest.raises(InputError, match=rf"{url}: .*refused.* put at {path}"):
+        with pytest.raises(InputError, match=rf"{url}: .*refused.* put it at {path}"):
             download(url, path)
 
 
 def test_silent_server_is_given_up(server: FileServer, path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("zoedepth.download.TIMEOUT", 0.1)
+    """The patience is shortened after the server has answered, which may take its time on a busy machine."""
+
+    def impatient(request: Request, *, timeout: float) -> HTTPResponse:
+        assert timeout == TIMEOUT
+        response = urlopen(request, timeout=timeout)
+        response.fp.raw._sock.settimeout(0.1)
+        return response
+
+    monkeypatch.setattr("zoedepth.download.urlopen", impatient)
     server.stop_after, server.stall = 100_000, Event()
-    with pytest.raises(InputError, match=r"stopped after 100,000 of 300,000 bytes \(.*timed out\)"):
+    with pytest.raises(InputError, match=r"stopped after [\d,]+ of 300,000 bytes \(.*timed out\)"):
         download(server.url, path)
 
 

@@ -1,8 +1,10 @@
-"""Files from the web: whole or not at all, and taken up where an interrupted download stopped."""
+"""Download files from the web: whole or not at all, going on where an interrupted download stopped."""
 
 import hashlib
 import json
+import logging
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
 from http.client import HTTPException, HTTPResponse
@@ -16,29 +18,40 @@ from filelock import FileLock
 from zoedepth.errors import InputError
 
 TIMEOUT = 30.0
-"""Seconds without an answer or a byte after which a server is given up."""
+"""Seconds to wait for an answer or for the next byte before giving up."""
+
+Progress = Callable[[str, int, int | None], object]
+"""Function that is told how far a download is: the file's name, the bytes that are here, and the bytes of the whole
+file (None where the server does not say). It is called before the first byte and after every piece."""
 
 _CHUNK = 1 << 20
+_WORTH_A_LINE = 1_000_000
+"""Bytes from which a download is logged; smaller files arrive before anybody wonders."""
+
+_log = logging.getLogger("zoedepth")
 
 
-def download(url: str, path: Path, *, sha256: str | None = None, name: str | None = None) -> Path:
-    """Download a file to ``path``, whole or not at all; a file that is there already is returned without network.
+def download(
+    url: str, path: Path, *, sha256: str | None = None, name: str | None = None, progress: Progress | None = None
+) -> Path:
+    """Download a file to ``path``, whole or not at all. If the file is there already, no network is used.
 
-    What has arrived of an interrupted download stays in ``<path>.part``, and the next call goes on from there if the
-    server still has the same file.
+    The bytes of an interrupted download stay in ``<path>.part``. The next call goes on from there if the server still
+    has the same file.
 
     Args:
-        url: address, http or https.
-        path: where to write; folders are made.
-        sha256: what the bytes must hash to, in hexadecimal; None trusts the server.
-        name: what to call the file in messages; None: its file name.
+        url: http or https address.
+        path: file to write; missing folders are made.
+        sha256: expected SHA-256 of the file, in hexadecimal; None trusts the server.
+        name: how messages call the file; None: its file name.
+        progress: function to call while the file arrives; None: one line in the log, ``logging.getLogger("zoedepth")``.
 
     Returns:
         ``path``.
 
     Raises:
-        InputError: the address is of another kind, the server cannot be reached or refuses, the connection is cut, the
-            disk is too small, or the file is not the one of ``sha256``. The message says what to do.
+        InputError: the address is not http(s), the server cannot be reached or refuses, the connection is cut, the disk
+            is too small, or the file has another hash. The message says what to do.
     """
     if path.exists():
         return path
@@ -48,12 +61,12 @@ def download(url: str, path: Path, *, sha256: str | None = None, name: str | Non
     part, record, lock = (path.with_name(path.name + end) for end in (".part", ".part.json", ".lock"))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Two processes must not write to one part. The lock is the operating system's, so that a process that is killed
-        # holds none; who waits for it finds the file complete. It is removed only once the file is there: a lock taken
-        # on a removed file is worth nothing, but then nobody needs one any more.
+        # Only one process may write the part. The lock belongs to the operating system, which frees it when a process
+        # is killed. A process that had to wait finds the file complete. The lock file is removed only after that: a
+        # lock on a removed file protects nothing, but by then nobody needs it.
         with FileLock(lock):
             if not path.exists():
-                _receive(url, part, record, name=name, checked=sha256 is not None)
+                _receive(url, part, record, name=name, checked=sha256 is not None, progress=progress)
                 if sha256 is not None:
                     _verify(url, part, record, sha256=sha256, name=name)
                 part.replace(path)
@@ -65,34 +78,41 @@ def download(url: str, path: Path, *, sha256: str | None = None, name: str | Non
     except (OSError, HTTPException, ValueError) as error:  # ValueError: an address or a header that makes no sense
         reason = error.reason if type(error) is URLError else error
         raise InputError(
-            f"cannot download {name} from {url}: {reason}. Check the address, the connection and the disk. A file "
-            f"downloaded by other means can be put at {path}, or given by its own path"
+            f"cannot download {name} from {url}: {reason}. Check the address, the connection and the disk. Or download "
+            f"the file by other means and put it at {path}, or give its path"
         ) from error
     return path
 
 
-def _receive(url: str, part: Path, record: Path, *, name: str, checked: bool) -> None:
-    """Complete ``part``; ``record`` says which file it is a part of."""
+def _receive(url: str, part: Path, record: Path, *, name: str, checked: bool, progress: Progress | None) -> None:
+    """Complete ``part``. ``record`` describes the file that it is a part of."""
     start, known = _left_over(part, record)
     if start and (known["url"], known["total"]) == (url, start):
-        return  # stopped between the last byte and the renaming
+        return  # the last attempt stopped between the last byte and the renaming
     response, start = _request(url, start, known)
     with response:
         about = _describe(url, response)
         total = about["total"]
         if response.headers.get_content_type() == "text/html":
-            raise InputError(f"{url} is a web page, not the file {name}: a log-in page or a proxy may be in the way")
+            raise InputError(
+                f"{url} is a web page, not the file {name}. A log-in page or a proxy may be in the way: open the "
+                "address in a browser"
+            )
         if total is not None and (free := shutil.disk_usage(part.parent).free) < total - start:
             raise InputError(
                 f"the disk of {part.parent} has {free:,} bytes free, and {name} needs {total - start:,}: make room, "
                 "or choose another place"
             )
+        if progress is None and (total is None or total >= _WORTH_A_LINE):
+            size = "of unknown size" if total is None else f"{total / 1e6:,.0f} MB"
+            _log.warning("downloading %s (%s) from %s to %s", name, size, url, part.with_name(part.stem))
         with part.open("ab" if start else "wb") as file:
-            # Files of one architecture are equally long, so that without a tag or a hash a part of another version
-            # would be taken for a part of this one.
+            # All weights of one architecture are equally long: without a tag or a hash, a part of another version
+            # would look like a part of this one.
             resumable = total is not None and bool(about["etag"] or about["modified"] or checked)
             record.write_text(json.dumps(about) if resumable else "", encoding="utf-8")
-            done, trouble = _copy(response, file, start=start, total=total, name=name)
+            tell = progress or (lambda *_: None)
+            done, trouble = _copy(response, file, start, lambda done: tell(name, done, total))
     if trouble or (total is not None and done != total):
         of_total = "" if total is None else f" of {total:,}"
         again = "goes on from there" if resumable else "starts over"
@@ -103,7 +123,7 @@ def _receive(url: str, part: Path, record: Path, *, name: str, checked: bool) ->
 
 
 def _left_over(part: Path, record: Path) -> tuple[int, dict[str, Any]]:
-    """Bytes that have arrived before, and the description of the file they are from; 0 if they cannot be used."""
+    """Return the bytes that arrived before and the description of their file; 0 and {} if they cannot be used."""
     try:
         return part.stat().st_size, json.loads(record.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -111,15 +131,15 @@ def _left_over(part: Path, record: Path) -> tuple[int, dict[str, Any]]:
 
 
 def _request(url: str, start: int, known: dict[str, Any]) -> tuple[HTTPResponse, int]:
-    """The rest of the file from byte ``start`` if it is still the known one, else all of it; and where it begins."""
+    """Ask for the file from byte ``start`` on, or for all of it if it has changed. Return where the answer begins."""
     if start:
         try:
             response = _open(url, {"Range": f"bytes={start}-"})
         except HTTPError as error:
-            if error.code != HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:  # that is: the file has become shorter
+            if error.code != HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:  # the file has become shorter
                 raise
         else:
-            if response.status == HTTPStatus.OK:  # this server does not send parts
+            if response.status == HTTPStatus.OK:  # this server sends whole files only
                 return response, 0
             begins = response.headers.get("Content-Range", "").startswith(f"bytes {start}-")
             if begins and _describe(url, response) == known:
@@ -132,12 +152,12 @@ def _open(url: str, headers: dict[str, str]) -> HTTPResponse:
     try:
         return urlopen(Request(url, headers={"User-Agent": "zoedepth", **headers}), timeout=TIMEOUT)
     except HTTPError as error:
-        error.close()  # its connection stays open otherwise
+        error.close()  # or its connection stays open
         raise
 
 
 def _describe(url: str, response: HTTPResponse) -> dict[str, Any]:
-    """What tells one version of a file from another."""
+    """Return the headers that tell one version of a file from another."""
     if response.status == HTTPStatus.PARTIAL_CONTENT:
         total = response.headers.get("Content-Range", "").rpartition("/")[2]
     else:
@@ -151,30 +171,22 @@ def _describe(url: str, response: HTTPResponse) -> dict[str, Any]:
 
 
 def _copy(
-    response: HTTPResponse, file: IO[bytes], *, start: int, total: int | None, name: str
+    response: HTTPResponse, file: IO[bytes], done: int, tell: Callable[[int], object]
 ) -> tuple[int, Exception | None]:
-    """Write what arrives, with a progress bar on a terminal; returns the length reached, and what stopped it early."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
-
-    console, done = Console(stderr=True), start
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn(), TimeRemainingColumn(),
-    )  # fmt: skip
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(escape(name), total=total, completed=start)
-        try:
-            while chunk := response.read1(_CHUNK):  # unlike read, hands out what arrived before a connection broke
-                file.write(chunk)
-                done += len(chunk)
-                progress.update(task, completed=done)
-        except (OSError, HTTPException) as error:
-            return done, error
+    """Write the bytes that arrive. Return the length of the file so far, and the error that stopped it, if any."""
+    tell(done)
+    try:
+        while chunk := response.read1(_CHUNK):  # unlike read, it hands out what arrived before a connection broke
+            file.write(chunk)
+            done += len(chunk)
+            tell(done)
+    except (OSError, HTTPException) as error:
+        return done, error
     return done, None
 
 
 def _verify(url: str, part: Path, record: Path, *, sha256: str, name: str) -> None:
+    """Refuse and delete a file with another hash."""
     digest = hashlib.sha256()
     with part.open("rb") as file:
         while chunk := file.read(_CHUNK):
@@ -184,5 +196,6 @@ def _verify(url: str, part: Path, record: Path, *, sha256: str, name: str) -> No
         record.unlink(missing_ok=True)
         raise InputError(
             f"{name} from {url} is not the file it should be: its SHA-256 is {digest.hexdigest()}, expected "
-            f"{sha256.lower()}. It was deleted; try again, and if it stays so, the file behind the address has changed"
+            f"{sha256.lower()}. It was deleted. Try again; if the hash stays the same, the file at this address has "
+            "changed"
         )

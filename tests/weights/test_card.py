@@ -94,6 +94,14 @@ def test_metrics_are_in_the_table_and_for_the_hub():
     assert "Not run" not in parsed.text
 
 
+def test_data_sets_whose_names_look_alike_to_the_hub_stay_apart():
+    metrics = {"a b": METRICS, "A-B": replace(METRICS, rel=0.5), "房间": METRICS, "街道": METRICS}
+    results = ModelCard(model_card(NK, name="lab/model", layout="zoedepth", metrics=metrics)).data["eval_results"]
+    rel = {result.dataset_name: result.metric_value for result in results if result.metric_type == "rel"}
+    assert rel == {"a b": 0.075, "A-B": 0.5, "房间": 0.075, "街道": 0.075}
+    assert len(results) == 4 * len(vars(METRICS))
+
+
 def test_own_layout_is_loaded_with_zoedepth():
     _, text = card()
     (code,) = examples(text)

@@ -17,25 +17,28 @@ def convert(
     licence: str | None = None,
     compat: tuple[str, ...] = (),
 ) -> int:
-    """Write a model in another layout, bit by bit the same weights.
+    """Write a model in another layout. The weights stay the same, bit by bit.
 
-    The model is built once from them and checked, so that what is written can be loaded. Weights that no model uses
-    (an ImageNet classifier, a fusion unit without input) are dropped on the way in and made up on the way out.
+    The model is built once to check the weights, so that the result can be loaded. Weights that no model uses (an
+    ImageNet classifier, a fusion unit without input) are dropped when read and filled in when written.
 
     Args:
-        source: a name of `zoedepth models`, a file or folder of weights of any layout, or a Hugging Face id.
-        target: what to write: a folder; for the original a file NAME.pt; for zoedepth also a file NAME.safetensors.
+        source: a name of `zoedepth models`, a file or folder of weights in any layout, or a Hugging Face id.
+        target: folder to write; for original a file NAME.pt; for zoedepth a folder or a file NAME.safetensors.
         to: zoedepth (config.json and model.safetensors), original (isl-org/ZoeDepth's .pt) or huggingface (a folder for
             transformers).
         name: title of the model card; None: the target's name.
-        licence: of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
-        compat: what the file does not say, to be written into the config: 80m, a baseline's weights are KITTI's.
+        licence: licence of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
+        compat: facts that the file does not hold, to be written into the config: 80m says that a baseline's weights
+            are KITTI's.
     """
+    from zoedepth.commands.progress import download_progress
     from zoedepth.presets import with_compat
     from zoedepth.weights.checkpoint import read_checkpoint, write_checkpoint
     from zoedepth.weights.load import find, model_of
 
-    path = find(source)
+    with download_progress() as progress:
+        path = find(source, progress=progress)
     checkpoint = read_checkpoint(path)
     checkpoint = checkpoint._replace(config=with_compat(checkpoint.config, compat))
     model_of(checkpoint, source=path)
@@ -53,24 +56,27 @@ def push(
     licence: str | None = None,
     dry_run: Annotated[bool, tyro.conf.arg(name="dry-run")] = False,
 ) -> int:
-    """Publish a model at the Hugging Face Hub, with a model card. Needs HF_TOKEN, or `hf auth login` once.
+    """Publish a model at the Hugging Face Hub, with a model card. Set HF_TOKEN, or run `hf auth login` once before.
 
     Args:
-        source: a name of `zoedepth models`, a file or folder of weights of any layout.
-        repo: owner/name; made if it is not there.
+        source: a name of `zoedepth models`, or a file or folder of weights in any layout.
+        repo: repository to publish in, owner/name; it is made if it does not exist.
         to: zoedepth, or huggingface for people who load it with transformers; this package loads both.
-        private: for a repository that is made.
-        licence: of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
-        dry_run: print the model card, and upload nothing.
+        private: make a new repository private.
+        licence: licence of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
+        dry_run: print the model card and upload nothing.
     """
+    from zoedepth.commands.progress import download_progress
     from zoedepth.weights.card import model_card
     from zoedepth.weights.checkpoint import read_checkpoint
     from zoedepth.weights.hub import is_hub_id
-    from zoedepth.weights.load import find, model_of, push_to_hub
+    from zoedepth.weights.load import find, model_of
+    from zoedepth.weights.save import push_to_hub
 
     if not is_hub_id(repo):
-        raise InputError(f"{repo!r} is no id of a repository: give owner/name")
-    path = find(source)
+        raise InputError(f"{repo!r} does not name a repository of the Hub: give owner/name")
+    with download_progress() as progress:
+        path = find(source, progress=progress)
     checkpoint = read_checkpoint(path)
     model = model_of(checkpoint, source=path)
     if dry_run:

@@ -1,4 +1,4 @@
-"""``zoedepth export MODEL --to FORMAT``: a model for other programs."""
+"""``zoedepth export MODEL --to FORMAT``: write a model for other programs."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,7 +10,7 @@ from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
 
 MAX_CALIBRATION = 300
-"""Photos that int8 is calibrated on at most."""
+"""Largest number of photos that int8 is calibrated on."""
 
 
 def export(
@@ -23,36 +23,38 @@ def export(
     size: tuple[int, int] | None = None,
     compat: tuple[str, ...] = (),
 ) -> int:
-    """Write a model for another program, and check by running it that the depth is the same.
+    """Write a model for another program, then run the file and check that the depth is the same.
 
     `zoedepth predict` and `zoedepth evaluate` take the .onnx and .xml files as --model.
 
     Args:
         model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
-        to: onnx, openvino or torch-export.
+        to: format to write: onnx, openvino or torch-export.
         out: file to write; None: the model's name with the suffix of the format (.onnx, .xml and .bin, .pt2).
-        int8: compute encoder and decoder in 8-bit integers (openvino): faster, a little less exact.
-        calibrate: folder of photos like those it will see; needed for int8, at most 300 are used.
+        int8: compute encoder and decoder in 8-bit integers (openvino only): faster, a little less exact.
+        calibrate: folder of photos like those that the model will see; int8 needs it and uses at most 300 of them.
         size: height and width of a torch-export, multiples of 32; None: the model's.
         compat: see `zoedepth predict`.
     """
+    from zoedepth.commands.progress import download_progress
     from zoedepth.export.write import SUFFIXES, export_model
     from zoedepth.weights.load import load_model
 
     photos = []
     if calibrate is not None:
-        files = (path for path in sorted(calibrate.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES)
-        photos = list(files)
+        photos = [path for path in sorted(calibrate.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES]
         if not photos:
-            raise InputError(f"--calibrate {calibrate} holds no photos")
-        photos = photos[:: -(-len(photos) // MAX_CALIBRATION)]  # spread over all
+            raise InputError(f"--calibrate {calibrate} holds no photos: give a folder with photos (.jpg, .png ...)")
+        photos = photos[:: -(-len(photos) // MAX_CALIBRATION)]  # evenly spread over the folder
     if int8 and not photos:
-        raise InputError("--int8 needs --calibrate FOLDER: photos like those the model will see")
+        raise InputError("--int8 needs --calibrate FOLDER, a folder of photos like those the model will see")
     name = Path(model).stem + ("-int8" if int8 else "")
     path = out or Path(name + SUFFIXES[to])
+    with download_progress() as progress:
+        network = load_model(model, compat=compat, progress=progress)
     console = Console(stderr=True, highlight=False)
     with console.status(f"writing and checking {path.name}"):
-        difference = export_model(load_model(model, compat=compat), path, to=to, int8=int8, photos=photos, size=size)
-    console.print(f"depth differs from torch by {difference:.1e} of itself (largest median of the check)")
+        difference = export_model(network, path, to=to, int8=int8, photos=photos, size=size)
+    console.print(f"depth differs from torch's by {difference:.1e} of itself (largest median of the check)")
     print(path)
     return 0

@@ -1,4 +1,4 @@
-"""``zoedepth models``: what can be loaded by name."""
+"""``zoedepth models``: list the models that have a name."""
 
 import json
 from dataclasses import asdict
@@ -8,12 +8,12 @@ import tyro
 
 
 def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
-    """List the models that have a name: what each is for, its size and licence, and whether it is on this machine.
+    """List the models that have a name: their purpose, size and licence, and whether they are on this machine.
 
-    Files of weights and Hugging Face ids are loaded too, without being listed.
+    Files of weights and Hugging Face ids can be loaded too; they are not listed here.
 
     Args:
-        json_: print one JSON object for each model, and nothing else.
+        json_: print one JSON object for each model and nothing else.
     """
     from zoedepth.weights.hub import cached
     from zoedepth.weights.releases import RELEASES, download_folder
@@ -33,6 +33,6 @@ def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int
             print(f"    or {release.hub_id} at Hugging Face")
     if not json_:
         print("\nLoad one by its name: zoedepth predict --model NAME, or load_model('NAME') in Python.")
-        print("What is not here is fetched once. A file put there by hand is found:")
+        print("A model that is not here is downloaded once. You can also put its file there by hand:")
         print(f"    {download_folder()}")
     return 0

@@ -1,10 +1,10 @@
-"""The model card of a model: the ``README.md`` that the Hub shows, with what it reads in front."""
+"""Write model cards: the ``README.md`` that the Hub shows, with metadata for the Hub in front."""
 
 import json
 import re
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from zoedepth.config import (
     AdaBinsNetworkConfig,
@@ -19,8 +19,11 @@ from zoedepth.config import (
 )
 from zoedepth.metrics import HEADINGS, Metrics
 
-# The Hub takes the names of its list only (huggingface.co/docs/hub/repositories-licenses); these are the ones weights
-# come under. A licence that is not among them goes under "other", which is always right.
+if TYPE_CHECKING:
+    from huggingface_hub import EvalResult
+
+# The Hub takes the licences of its list only (huggingface.co/docs/hub/repositories-licenses). These are the ones that
+# weights come under. Any other licence goes under "other", which is always right.
 _LICENCES = frozenset({
     "afl-3.0", "agpl-3.0", "apache-2.0", "bsd-2-clause", "bsd-3-clause", "cc0-1.0", "cc-by-3.0", "cc-by-4.0",
     "cc-by-sa-3.0", "cc-by-sa-4.0", "cc-by-nc-3.0", "cc-by-nc-4.0", "cc-by-nd-4.0", "cc-by-nc-nd-3.0",
@@ -51,15 +54,15 @@ def model_card(
     trained_on: str | None = None,
     metrics: Mapping[str, Metrics] | None = None,
 ) -> str:
-    """The text of a ``README.md``: YAML for the Hub, then Markdown for people. What is not known is said to be unknown.
+    """Write the text of a ``README.md``: YAML for the Hub, then Markdown for people. It says what is not known.
 
     Args:
-        config: of the model.
-        name: how the model is loaded, "organisation/model" on the Hub.
-        layout: whose file format the weights are in; "huggingface" is the one that transformers reads.
-        licence: of the weights: an identifier of the Hub such as "cc-by-nc-4.0", or any text.
-        trained_on: the training data, with its terms.
-        metrics: what was measured, by the name of the data set.
+        config: the model's config.
+        name: name that the model is loaded by, "organisation/model" on the Hub.
+        layout: file format of the weights; "huggingface" is the one that transformers reads.
+        licence: licence of the weights: an identifier of the Hub such as "cc-by-nc-4.0", or any text.
+        trained_on: training data, with its terms.
+        metrics: measured metrics, by the name of the data set.
     """
     name = _one_line(name)
     front = _front_matter(name, layout, licence, metrics or {})
@@ -76,40 +79,54 @@ def model_card(
         f"- Training data: {_phrase(trained_on)}. Weights carry the terms of the data they were trained on.",
         f"## Cite\n\n{_CITATION}",
     ]
-    return f"---\n{front}---\n\n" + "\n\n".join(sections) + "\n"
+    return f"---\n{front}\n---\n\n" + "\n\n".join(sections) + "\n"
 
 
 def _front_matter(name: str, layout: str, licence: str | None, metrics: Mapping[str, Metrics]) -> str:
-    import yaml  # comes with huggingface_hub
+    """Return the YAML that the Hub reads."""
+    from huggingface_hub import ModelCardData
 
-    front: dict[str, Any] = {
-        "pipeline_tag": "depth-estimation",
-        "library_name": "transformers" if layout == "huggingface" else "zoedepth",
+    return ModelCardData(
+        pipeline_tag="depth-estimation",
+        library_name="transformers" if layout == "huggingface" else "zoedepth",
+        tags=["depth-estimation", "metric-depth", "zoedepth"],
+        model_name=name if metrics else None,
+        eval_results=_results(metrics) or None,
         **_licence(licence),
-        "tags": ["depth-estimation", "metric-depth", "zoedepth"],
-    }
-    if metrics:
-        front["model-index"] = [{"name": name, "results": [_result(*item) for item in metrics.items()]}]
-    return yaml.safe_dump(front, sort_keys=False, allow_unicode=True)
+    ).to_yaml()
 
 
 def _licence(licence: str | None) -> dict[str, str]:
-    """The fields in which the Hub wants a licence: an identifier of its list, or "other" and a name."""
+    """Return the fields in which the Hub wants a licence: an identifier of its list, or "other" and a name."""
     if licence is None:
         return {"license": "unknown"}
     identifier = licence.strip().lower()
     return {"license": identifier} if identifier in _LICENCES else {"license": "other", "license_name": _slug(licence)}
 
 
-def _result(data: str, metrics: Metrics) -> dict[str, Any]:
-    return {
-        "task": {"type": "depth-estimation", "name": "Monocular depth estimation"},
-        "dataset": {"type": _slug(data), "name": _one_line(data)},
-        "metrics": [
-            {"type": field.name, "value": float(getattr(metrics, field.name)), "name": HEADINGS[field.name]}
-            for field in fields(metrics)
-        ],
-    }
+def _results(metrics: Mapping[str, Metrics]) -> "list[EvalResult]":
+    from huggingface_hub import EvalResult
+
+    results: list[EvalResult] = []
+    taken: set[str] = set()
+    for data, values in metrics.items():
+        identifier = _slug(data)
+        while identifier in taken:  # the Hub would join two data sets with one identifier
+            identifier += "-2"
+        taken.add(identifier)
+        results += [
+            EvalResult(
+                task_type="depth-estimation",
+                task_name="Monocular depth estimation",
+                dataset_type=identifier,
+                dataset_name=_one_line(data),
+                metric_type=field.name,
+                metric_name=HEADINGS[field.name],
+                metric_value=float(getattr(values, field.name)),
+            )
+            for field in fields(values)
+        ]
+    return results
 
 
 def _what(config: AnyModelConfig) -> str:
@@ -201,7 +218,7 @@ def _python(*lines: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A Python string, in the double quotes of the lines around it."""
+    """Return a Python string in double quotes, as in the lines around it."""
     return json.dumps(text, ensure_ascii=False)
 
 
@@ -213,7 +230,7 @@ def _table(metrics: Mapping[str, Metrics]) -> str:
 
 
 def _one_line(text: str) -> str:
-    """Text that cannot end the paragraph, heading or list item it is in."""
+    """Join lines, so that the text cannot end the paragraph, heading or list item that it is in."""
     return " ".join(text.split())
 
 
@@ -226,5 +243,5 @@ def _cell(text: str) -> str:
 
 
 def _slug(text: str) -> str:
-    """Small letters, digits, dots and dashes: what the Hub takes as an identifier."""
+    """Reduce a text to small letters, digits, dots and dashes, as the Hub wants identifiers."""
     return re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.") or "unknown"
