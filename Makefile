@@ -2,8 +2,10 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+OLDEST := .venv.oldest
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4
 
-.PHONY: demo demo-train test lint bench docs clean
+.PHONY: demo demo-train test test-processors test-oldest fuzz mutants lint bench docs clean
 
 demo: $(VENV)/.installed-demo
 	$(BIN)/zoedepth demo --out demo
@@ -12,12 +14,33 @@ demo-train: $(VENV)/.installed-train,synthetic
 	$(BIN)/zoedepth demo-train --out demo-train
 
 test: $(VENV)/.installed-dev
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4
+	$(PYTEST)
+
+# The numeric tests as other processors compute, and as a user without root's rights. SWITCHES="avx2 1-thread" runs some.
+test-processors: $(VENV)/.installed-dev
+	scripts/processors.sh $(BIN)/python $(SWITCHES)
+
+# The tests with the lowest versions that pyproject.toml promises. uv, because pip cannot choose the lowest.
+test-oldest: $(OLDEST)/.installed-dev
+	OMP_NUM_THREADS=1 $(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4
+
+# The fuzz tests with other examples every time; what failed is kept in .hypothesis and tried first. Each round is short.
+ROUNDS ?= 10
+fuzz: $(VENV)/.installed-dev
+	for round in $$(seq $(ROUNDS)); do $(PYTEST) -m hypothesis --hypothesis-profile=fuzz || exit 1; done
+
+# Faults put into the code one at a time, to see whether a test notices (hours; MODULE=zoedepth.pareto: a minute).
+MODULE ?= zoedepth
+mutants: $(VENV)/.installed-dev,mutants
+	OMP_NUM_THREADS=1 $(BIN)/mutmut run '$(MODULE).*'
+	$(BIN)/mutmut results
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+	$(BIN)/lint-imports
+	$(BIN)/codespell
 
 bench: $(VENV)/.installed-dev
 	$(BIN)/python -m benchmarks
@@ -26,11 +49,17 @@ docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
 
 clean:
-	rm -rf $(VENV) demo demo-train site
+	rm -rf $(VENV) $(OLDEST) demo demo-train site mutants
 
 # The stamp is written last, so an interrupted installation is taken up again.
 $(VENV)/.installed-%: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[$*]'
+	@touch $@
+
+$(OLDEST)/.installed-dev: pyproject.toml | $(BIN)/python
+	$(BIN)/python -m pip install --quiet uv
+	$(BIN)/uv venv --quiet --clear --python $(BIN)/python $(OLDEST)
+	$(BIN)/uv pip install --quiet --system-certs --python $(OLDEST)/bin/python --resolution lowest-direct --editable '.[dev]'
 	@touch $@
 
 $(BIN)/python:

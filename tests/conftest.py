@@ -1,10 +1,11 @@
-"""Fixtures shared by all tests: a model small enough to run in milliseconds."""
+"""What all tests share: a model small enough to run in milliseconds, and how fuzz tests choose their examples."""
 
 from collections.abc import Iterator
 
 import jaxtyping
 import pytest
 import torch
+from hypothesis import settings
 
 from zoedepth.config import (
     INDOOR,
@@ -16,6 +17,11 @@ from zoedepth.config import (
     RouterConfig,
 )
 from zoedepth.model.zoedepth import ZoeDepth
+
+# `make test` gives fuzz tests the same examples every time; `make fuzz` looks for new ones, and keeps what failed.
+settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, print_blob=True)
+settings.register_profile("fuzz", derandomize=False, max_examples=1000, deadline=None, print_blob=True)
+settings.load_profile("repeatable")
 
 
 @pytest.fixture(scope="session")

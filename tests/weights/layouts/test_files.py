@@ -326,11 +326,12 @@ def test_folder_and_missing_file_are_named(tmp_path: Path):
         read_tensors(tmp_path / "nothing.pt")
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
 @pytest.mark.parametrize("read", [read_tensors, read_json])
 def test_file_without_permission_is_named(tmp_path: Path, read: Callable):
     (tmp_path / "file").write_text("{}")
     (tmp_path / "file").chmod(0)
+    if os.access(tmp_path / "file", os.R_OK):
+        pytest.skip("whoever runs this may read everything")
     with pytest.raises(InputError, match=r"file cannot be read \(Permission"):
         read(tmp_path / "file")
 
