@@ -1,4 +1,4 @@
-"""The command line: ``COMMANDS`` is the whole of it. Options are the signatures of the functions."""
+"""The command line: ``COMMANDS`` lists every command. The options of one are the arguments of its function."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from zoedepth.errors import ZoeDepthError
 
 @dataclass(frozen=True)
 class Command:
-    """One command: a line of help, and its function, imported when it is called."""
+    """A command: its line in the help, and how to import its function, which happens when the command is called."""
 
     help: str
     load: Callable[[], Callable[[Sequence[str]], int]]
@@ -76,21 +76,21 @@ def _push() -> Callable[[Sequence[str]], int]:
 
 
 COMMANDS = {
-    "demo": Command("depth of three real photographs, with the error where the truth is known", _demo),
+    "demo": Command("show the depth of three photographs, with the error where the depth was measured", _demo),
     "demo-train": Command("train a tiny model in both stages on rendered scenes", _demo_train),
-    "predict": Command("depth in metres of photos, folders or globs", _predict),
-    "train": Command("train a recipe, or go on with it", _train),
-    "evaluate": Command("score a model on photos with known depth, under the paper's protocol", _evaluate),
-    "data": Command("the published data sets, and whether a download is in order", _data),
-    "models": Command("the models that have a name, and which are on this machine", _models),
+    "predict": Command("write the depth in metres of photos, folders or globs", _predict),
+    "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train),
+    "evaluate": Command("score models on photos with known depth, as the paper does", _evaluate),
+    "data": Command("list the published data sets, check a download, write shards", _data),
+    "models": Command("list the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
     "export": Command("write a model for other programs: ONNX, OpenVINO, torch.export", _export),
-    "push": Command("publish a model at the Hugging Face Hub", _push),
+    "push": Command("publish a model on the Hugging Face Hub", _push),
 }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code: 0 done, 1 partly failed, 2 wrong input, 130 interrupted."""
+    """Run a command and return its exit code: 0 done, 1 some files failed, 2 wrong input, 130 interrupted."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_help())
@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _with_options(function: Callable[..., int]) -> Callable[[Sequence[str]], int]:
-    """A function that reads the options of ``function`` from the command line and calls it."""
+    """Return a function that reads the options of ``function`` from the command line and calls it."""
 
     def run(arguments: Sequence[str]) -> int:
         import tyro
