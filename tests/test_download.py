@@ -255,8 +255,6 @@ def test_refusal_names_the_address_and_the_other_way(server: FileServer, path: P
     server.status = status
     refusal = rf"model.safetensors from {server.url}: HTTP Error {status}.* put it at {path}"
     with pytest.raises(InputError, match=refusal):
-        InputError, match=rf"model.safetensors from {server.url}: HTTP Error {status}.* put it at {path}"
-    ):
         download(server.url, path)
     assert not path.exists()
 
