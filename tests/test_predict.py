@@ -17,9 +17,9 @@ from torch import Tensor, nn
 
 from zoedepth.config import INDOOR, OUTDOOR, ModelConfig, NaiveConfig, RouterConfig
 from zoedepth.errors import InputError
-from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.predict import DepthMap, Predictor, reflect_pad
+from zoedepth.stored import read_depth
 
 
 class Brightness(ZoeDepth):

@@ -5,7 +5,7 @@ that leaves it is written whole or not at all.
 """
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -15,7 +15,6 @@ from uuid import uuid4
 import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image, UnidentifiedImageError
-from PIL.PngImagePlugin import PngInfo
 
 from zoedepth.errors import InputError
 
@@ -41,7 +40,8 @@ PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
-_SCALE_KEY, _UNIT_KEY = "DepthScale", "DepthUnit"
+# TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
+_TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
 # EXIF orientation -> what stands the picture upright (EXIF 2.3, tag 0x0112).
 _ORIENTATION_TAG = 0x0112
 _UPRIGHT = {
@@ -111,132 +111,6 @@ def write_image(path: str | Path, image: ImageArray) -> None:
         Image.fromarray(image).save(temporary, quality=92)
 
 
-def png_scale(depth: np.ndarray) -> float:
-    """Levels per metre at which ``depth`` fits a 16-bit PNG: 1000 (millimetres) up to 65.535 m, else 256 (KITTI's)."""
-    valid = depth[np.isfinite(depth)]
-    fits = valid.size == 0 or valid.max() * PNG_SCALE_MILLIMETRE <= PNG_MAX
-    return PNG_SCALE_MILLIMETRE if fits else PNG_SCALE_KITTI
-
-
-def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_SCALE_MILLIMETRE) -> None:
-    """Write metres as a 16-bit grey PNG: value = round(depth * scale), 0 = no depth.
-
-    Too far is clipped to 65535, never wrapped; too near to 1, so that a valid pixel stays valid. Non-finite and
-    non-positive depth becomes 0. The text chunks ``DepthScale`` and ``DepthUnit`` say how to read the file back.
-
-    Args:
-        path: where to write; folders are made.
-        depth: (height, width), metres.
-        scale: PNG levels per metre; 1000 is millimetres (up to 65.535 m), 256 is KITTI's (up to 255.996 m).
-
-    Raises:
-        InputError: depth is not two-dimensional, or the scale is not a positive number.
-    """
-    if not (np.isfinite(scale) and scale > 0):
-        raise InputError(f"the PNG scale is levels per metre and must be positive, got {scale}")
-    depth = _check_depth(depth)
-    valid = np.isfinite(depth) & (depth > 0)
-    levels = np.where(valid, depth, 0).astype(np.float64)
-    levels *= scale
-    np.clip(np.rint(levels, out=levels), valid, PNG_MAX, out=levels)  # from 1 where valid
-    levels = levels.astype(np.uint16)
-    text = PngInfo()
-    text.add_text(_SCALE_KEY, f"{scale:.10g}")
-    text.add_text(_UNIT_KEY, "metre")
-    text.add_text("Description", f"depth along the optical axis in metres = value / {scale:.10g}; 0 = no depth")
-    with atomic_path(path) as temporary:
-        # Level 1 of zlib takes a quarter of the time of Pillow's 6, for a file a quarter larger.
-        Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text, compress_level=1)
-
-
-def write_relative_png(path: str | Path, relative: np.ndarray) -> tuple[float, float]:
-    """Write relative depth as a 16-bit grey PNG, as MiDaS does: the farthest is 0, the nearest 65535.
-
-    Args:
-        path: where to write; folders are made.
-        relative: (height, width), inverse depth up to scale and shift, finite.
-
-    Returns:
-        The least and the greatest value: relative = least + level / 65535 * (greatest - least). They are in the text
-        chunks ``RelativeMin`` and ``RelativeMax`` too.
-
-    Raises:
-        InputError: it is not two-dimensional, or not finite.
-    """
-    relative = _check_depth(relative).astype(np.float64)
-    if not np.isfinite(relative).all():
-        raise InputError("relative depth must be finite")
-    low, high = float(relative.min()), float(relative.max())
-    levels = np.rint((relative - low) / max(high - low, 1e-12) * PNG_MAX).astype(np.uint16)
-    text = PngInfo()
-    text.add_text("RelativeMin", f"{low:.10g}")
-    text.add_text("RelativeMax", f"{high:.10g}")
-    text.add_text("Description", "relative inverse depth, near is large; no unit")
-    with atomic_path(path) as temporary:
-        Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text)
-    return low, high
-
-
-def write_depth(
-    path: str | Path,
-    depth: np.ndarray,
-    *,
-    scale: float = PNG_SCALE_MILLIMETRE,
-    beside: Mapping[str, np.ndarray] | None = None,
-) -> None:
-    """Write metres in the format of the suffix: .png (16 bits, see ``write_depth_png``), .npy or .npz (float32).
-
-    Args:
-        path: where to write; folders are made.
-        depth: (height, width), metres.
-        scale: PNG levels per metre; the other formats hold metres.
-        beside: arrays kept under their names beside ``depth``, in .npz only.
-
-    Raises:
-        InputError: another suffix, or depth that is not two-dimensional.
-    """
-    suffix = Path(path).suffix.lower()
-    if suffix == ".png":
-        write_depth_png(path, depth, scale=scale)
-        return
-    if suffix not in (".npy", ".npz"):
-        raise InputError(f"cannot write depth as {Path(path).name!r}: use .png (16 bits), .npy or .npz (float32)")
-    depth = _check_depth(depth).astype(np.float32, copy=False)
-    with atomic_path(path) as temporary:
-        if suffix == ".npy":
-            np.save(temporary, depth)
-        else:
-            arrays: dict[str, Any] = {"depth": depth, **(beside or {})}
-            np.savez_compressed(temporary, **arrays)
-
-
-def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
-    """Read a depth map, float32 (height, width) in metres; 0 = no depth.
-
-    Args:
-        path: a 16-bit PNG, an .npy, or an .npz with an array called ``depth``.
-        scale: PNG levels per metre; None takes the number that ``write_depth_png`` left in the file.
-
-    Raises:
-        InputError: missing or broken file, not one 16-bit channel, or a PNG whose scale nobody knows.
-    """
-    path = Path(path)
-    if path.suffix.lower() in (".npy", ".npz"):
-        try:
-            loaded = np.load(path, allow_pickle=False)
-            depth = loaded["depth"] if path.suffix.lower() == ".npz" else loaded
-        except Exception as error:  # a broken zip or header can raise nearly anything
-            raise InputError(f"cannot read depth from {path}: {error}") from error
-        return _check_depth(depth).astype(np.float32, copy=False)
-    with _open(path) as picture:
-        if not picture.mode.startswith("I"):
-            raise InputError(f"{path} is not a depth map: expected one 16-bit channel, found mode {picture.mode}")
-        scale = scale or _scale_in(picture)
-        if scale is None:
-            raise InputError(f"{path} does not say its scale: pass scale=1000 for millimetres or scale=256 for KITTI's")
-        return np.asarray(picture).astype(np.float32) / np.float32(scale)
-
-
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a temporary path to write to; it becomes ``path`` when the block ends well, and vanishes when it does not.
@@ -271,6 +145,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
                 raise InputError(
                     f"{name} has {picture.width} x {picture.height} pixels, over the limit of {max_pixels:,}: resize it"
                 )
+            check_tiles(picture)
             picture.load()
         except BaseException:
             picture.close()
@@ -288,13 +163,16 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
     return picture
 
 
-def _scale_in(picture: Image.Image) -> float | None:
-    """The scale in a PNG's text chunk, if it is there and is a number that can be one."""
-    try:
-        scale = float(picture.info[_SCALE_KEY])
-    except (KeyError, TypeError, ValueError):
-        return None
-    return scale if np.isfinite(scale) and scale > 0 else None
+def check_tiles(picture: Image.Image) -> None:
+    """Refuse a TIFF whose tiles are far larger than the picture: each tile is unpacked whole.
+
+    Raises:
+        ValueError: a tile has more pixels than the picture, and than 4096 x 4096.
+    """
+    tags = getattr(picture, "tag_v2", {})
+    width, height = (int(tags.get(tag, 0)) for tag in (_TILE_WIDTH_TAG, _TILE_HEIGHT_TAG))
+    if width * height > max(_MAX_TILE, picture.width * picture.height):
+        raise ValueError(f"its tiles of {width} x {height} pixels are larger than the picture")
 
 
 def _from_pil(picture: Image.Image, name: str) -> ImageArray:
@@ -357,9 +235,3 @@ def _channels_last(tensor: Any) -> np.ndarray:
     if array.ndim == 3 and array.shape[0] not in (1, 3, 4):
         raise InputError(f"the tensor has shape {array.shape}: expected (channels, height, width), channels first")
     return np.moveaxis(array, 0, -1) if array.ndim == 3 else array
-
-
-def _check_depth(depth: np.ndarray) -> np.ndarray:
-    if not isinstance(depth, np.ndarray) or depth.ndim != 2 or depth.size == 0:
-        raise InputError(f"a depth map is an array (height, width), got {getattr(depth, 'shape', type(depth))}")
-    return depth

@@ -1,4 +1,4 @@
-"""From a photo to metres: everything around the model, which itself sees pixels of the network size only."""
+"""From a photo to metres: everything around the model, which itself sees only pixels of the network size."""
 
 import copy
 import math
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -17,16 +17,9 @@ from torch import Tensor
 from zoedepth import colors
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.images import (
-    PICTURE_SUFFIXES,
-    DepthArray,
-    ImageArray,
-    png_scale,
-    to_image,
-    write_depth,
-    write_image,
-)
-from zoedepth.model.interface import DepthModel
+from zoedepth.images import DepthArray, ImageArray, to_image
+from zoedepth.model.interface import DepthModel, DepthOutput
+from zoedepth.outputs import Maps, Options, write_maps
 from zoedepth.sizes import network_size
 
 MAX_NETWORK_AREA = 16
@@ -40,12 +33,12 @@ class DepthMap:
     depth: DepthArray
     """Metres along the optical axis (z, not the length of the ray); finite and positive everywhere."""
     std: DepthArray | None
-    """Metres: standard deviation of the bin distribution, and of the two mirrored predictions where they differ. None
-    where the model has no distribution: DORN, NeWCRFs, BTS and naive heads."""
+    """Metres: standard deviation of the bin distribution, widened where the two mirrored predictions differ. None where
+    the model has no distribution: DORN, NeWCRFs, BTS and naive heads."""
     domain: str
     """Scene type whose head made this depth, e.g. "indoor"."""
     domain_probability: dict[str, float]
-    """The router's probability of each scene type; 1 for the only or the given one where there is no classifier."""
+    """The router's probability of each scene type. Where there is no classifier, 1 for the only or the given one."""
     image: ImageArray
     """The photo."""
     network_size: tuple[int, int]
@@ -57,58 +50,56 @@ class DepthMap:
         return self.depth.shape[0], self.depth.shape[1]
 
     @property
+    def maps(self) -> Maps:
+        """The arrays alone, for ``outputs``."""
+        return Maps(depth=self.depth, std=self.std, image=self.image)
+
+    @property
     def confidence(self) -> DepthArray | None:
-        """1 / (1 + std / depth), in (0, 1]: 1 is certain, 0.5 an uncertainty as large as the depth itself.
+        """1 / (1 + std / depth), in (0, 1]: 1 is certain, 0.5 is an uncertainty as large as the depth itself.
 
-        None where the model has no distribution over depth.
-
-        It ranks pixels and photos; it is no probability, for nothing ties the spread of the bins to the true error.
+        None where the model has no distribution over depth. It ranks pixels and photos but is no probability, for
+        nothing ties the spread of the bins to the true error.
         """
-        return None if self.std is None else self.depth / (self.depth + self.std)
+        return self.maps.confidence
 
     def preview(self, *, vmin: float | None = None, vmax: float | None = None, colormap: str = "magma_r") -> ImageArray:
-        """The photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
+        """Return the photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
         return colors.preview(self.image, self.depth, vmin=vmin, vmax=vmax, colormap=colormap)
 
     def save(self, path: str | Path, *, scale: float | None = None) -> None:
         """Write the depth in the format of the suffix, whole or not at all.
 
-        .png: 16 bits, the scale in its text chunks (``images.read_depth`` reads it back). .npy: float32 metres. .npz:
-        the same as ``depth``, beside ``std`` and ``confidence``. .jpg, .jpeg, .webp: the preview, a picture.
+        .png holds 16 bits, with the scale in its text chunks (``zoedepth.read_depth`` reads it back). .npy holds float32
+        metres. .npz holds the same as ``depth``, with ``std`` and ``confidence`` beside it. .jpg, .jpeg and .webp hold
+        the preview, a picture.
 
         Args:
-            path: where to write; folders are made.
-            scale: PNG levels per metre; None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
+            path: where to write; missing folders are made.
+            scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
 
         Raises:
             InputError: another suffix.
         """
-        suffix = Path(path).suffix.lower()
-        if suffix in PICTURE_SUFFIXES and suffix != ".png":
-            write_image(path, self.preview())
-            return
-        scale = png_scale(self.depth) if scale is None else scale
-        beside = {"std": self.std, "confidence": self.confidence}
-        beside = {name: value for name, value in beside.items() if value is not None}
-        write_depth(path, self.depth, scale=scale, beside=beside)
+        write_maps(path, self.maps, Options(png_scale=scale))
 
 
 class Predictor:
-    """Depth maps of photos of any size, as ZoeDepth was released: (pad,) resize, mirror average, resize back.
+    """Predict depth maps of photos of any size, as ZoeDepth was released: (pad,) resize, mirror average, resize back.
 
-    It keeps no state between calls, so threads may share one. The model is not changed: on another device a copy is
-    used.
+    A predictor keeps no state between calls, so threads may share one. It does not change the model: for another device
+    it makes a copy.
 
     Args:
-        model: in evaluation mode.
-        flip_average: predict the mirrored photo too and average; twice the work, smoother edges, and the mirrored
-            photo gives the mirrored depth.
-        pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts;
-            None: what the model's config says.
-        upsampling: of the depth to the photo's size: "bicubic" as the original's ``infer``, or "bilinear" (corners
-            aligned) as its evaluation.
-        resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``; None: what the model's config says.
-        device: where to run, "auto" for the best there is; None stays where the model is.
+        model: a model in evaluation mode.
+        flip_average: predict the mirrored photo too and average. It takes twice the work, gives smoother edges, and the
+            mirrored photo gives the mirrored depth.
+        pad: reflect the photo's borders outwards before the network and cut them off after, against border artefacts.
+            None does what the model's config says.
+        upsampling: how the depth is resized to the photo's size: "bicubic" as in the original's ``infer``, or
+            "bilinear" (corners aligned) as in its evaluation.
+        resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``. None does what the config says.
+        device: where to run, "auto" for the best there is. None stays where the model is.
         precision: "bfloat16" runs the model under autocast; the output is float32 either way.
 
     Raises:
@@ -130,7 +121,7 @@ class Predictor:
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
-        exported = next(model.parameters(), None) is None  # and stays where its runtime is
+        exported = next(model.parameters(), None) is None  # such a model stays where its runtime is
         if exported and device is not None and str(device) not in ("auto", "cpu"):
             raise InputError(f"an exported model cannot be moved to {str(device)!r}: leave the device out")
         self.device = model.device if device is None or exported else _device(device)
@@ -144,7 +135,7 @@ class Predictor:
         self.precision = precision
 
     def __call__(self, image: Any, *, domain: str | None = None) -> DepthMap:
-        """Depth of one photo.
+        """Predict the depth of one photo.
 
         Args:
             image: a path, an open file, a PIL image, an array (H, W, 3) or a tensor (3, H, W); see ``images.to_image``.
@@ -156,10 +147,10 @@ class Predictor:
         return self.batch([image], domain=domain)[0]
 
     def batch(self, images: Sequence[Any], *, domain: str | None = None, batch_size: int = 4) -> list[DepthMap]:
-        """Depth of several photos: those of one network size go through the model together; the depths are the same.
+        """Predict several photos, those of one network size together. The depths are those of one photo at a time.
 
         Args:
-            images: any kinds and sizes, see ``__call__``.
+            images: photos of any kinds and sizes, see ``__call__``.
             domain: scene type whose head to use for all of them; None leaves each to the router.
             batch_size: photos that go through the model at once.
 
@@ -182,9 +173,9 @@ class Predictor:
     def infer(
         self, pixels: Float[Tensor, "batch 3 height width"], *, domain: Int[Tensor, " batch"] | None = None
     ) -> Float[Tensor, "batch 1 height width"]:
-        """Depth of a tensor of photos of one size, the original's ``infer``: for pipelines that stay in torch.
+        """Predict the depth of a tensor of photos of one size, as the original's ``infer``, for pipelines in torch.
 
-        Gradients flow back to the pixels. Bicubic upsampling may overshoot at edges, to below zero where it is near.
+        Gradients flow back to the pixels. Bicubic upsampling may overshoot at edges, to below zero for near things.
 
         Args:
             pixels: RGB in [0, 1], of any size, on any device.
@@ -202,18 +193,17 @@ class Predictor:
         self._check_mode()
         size = (pixels.shape[2], pixels.shape[3])
         resized = self._to_network(pixels.to(self.device).float(), self.network_size(size))
-        estimate = self._estimate_mirrored(resized, domain) if self.flip_average else self._estimate(resized, domain)
-        return self._from_network(estimate.depth, size, mode=self.upsampling)
+        return self._from_network(self._run(resized, domain).depth, size, mode=self.upsampling)
 
     @torch.inference_mode()
     def relative(self, image: Any) -> DepthArray:
-        """Relative depth of one photo: inverse depth up to an unknown scale and shift, near is large.
+        """Predict the relative depth of one photo: inverse depth up to an unknown scale and shift, near is large.
 
-        It is what MiDaS gives and stage 1 trains. Stage 2 goes on from there with a loss on metres alone, which nothing
-        keeps this map right under: of a model with metric heads take it for a look inside.
+        MiDaS gives this map, and stage 1 trains it. Stage 2 trains metres alone, and no loss keeps this map right then:
+        for a model with metric heads it only shows what the decoder makes of the photo.
 
         Args:
-            image: see ``__call__``.
+            image: the photo, see ``__call__``.
 
         Returns:
             float32 (height, width), the photo's size, >= 0, without a unit.
@@ -231,10 +221,10 @@ class Predictor:
         return _to_array(self._from_network(relative, size, mode=self.upsampling)).clip(0, None)
 
     def network_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(height, width) at which the model sees a photo of ``size`` (height, width).
+        """Return the (height, width) at which the model sees a photo of ``size`` (height, width).
 
         Raises:
-            InputError: the photo is so long and narrow that this would exhaust memory.
+            InputError: the photo is so long and narrow that the model would exhaust the memory.
         """
         config = self.model.config
         padding = self._padding(size)
@@ -247,10 +237,10 @@ class Predictor:
         return height, width
 
     def domain_index(self, domain: str) -> int:
-        """Place of a scene type in the model's list.
+        """Return the place of a scene type in the model's list.
 
         Raises:
-            InputError: the model has no head for it.
+            InputError: the model has no head for this scene type.
         """
         names = [known.name for known in self.model.config.domains]
         if domain not in names:
@@ -259,18 +249,18 @@ class Predictor:
 
     @torch.inference_mode()
     def _predict(self, photos: list[ImageArray], size: tuple[int, int], head: int | None) -> list[DepthMap]:
-        """Depth of photos that share a network size."""
+        """Predict photos that share a network size."""
         pixels = torch.cat([self._to_network(self._pixels(photo), size) for photo in photos])
         given = None if head is None else torch.full((len(photos),), head, device=self.device)
-        estimate = self._estimate_mirrored(pixels, given) if self.flip_average else self._estimate(pixels, given)
-        return [self._depth_map(photo, estimate.of(slice(row, row + 1)), size) for row, photo in enumerate(photos)]
+        output = self._run(pixels, given)
+        return [self._depth_map(photo, _rows(output, slice(row, row + 1)), size) for row, photo in enumerate(photos)]
 
     def _check_mode(self) -> None:
         if self.model.training:
             raise InputError("the model is in training mode, its depth would be random: call model.eval() first")
 
     def _pixels(self, photo: ImageArray) -> UInt8[Tensor, "1 3 height width"]:
-        # A copy: torch takes no array that is read-only or flipped.
+        # Copied, because torch takes no array that is read-only or flipped.
         return torch.tensor(np.ascontiguousarray(photo)).to(self.device).permute(2, 0, 1)[None]
 
     def _to_network(
@@ -278,7 +268,7 @@ class Predictor:
         pixels: Float[Tensor, "batch 3 height width"] | UInt8[Tensor, "batch 3 height width"],
         size: tuple[int, int],
     ) -> Float[Tensor, "batch 3 _ _"]:
-        """Pad, and resize to what the network takes."""
+        """Pad the photos, and resize them to what the network takes."""
         vertical, horizontal = self._padding((pixels.shape[2], pixels.shape[3]))
         pixels = reflect_pad(pixels, vertical, horizontal)
         if not pixels.is_floating_point():
@@ -288,14 +278,14 @@ class Predictor:
     def _from_network(
         self, x: Float[Tensor, "batch 1 _ _"], size: tuple[int, int], *, mode: str
     ) -> Float[Tensor, "batch 1 height width"]:
-        """Resize to the padded photo, and cut the padding off."""
+        """Resize a map to the size of the padded photo, and cut the padding off."""
         top, left = self._padding(size)
         padded_size = (size[0] + 2 * top, size[1] + 2 * left)
         padded = F.interpolate(x, padded_size, mode=mode, align_corners=mode == "bilinear")
         return padded[:, :, top : top + size[0], left : left + size[1]]
 
     def _padding(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Rows and columns added on each side, as released: 3 sqrt(side / 2)."""
+        """Return how many rows and columns are added on each side, as released: 3 sqrt(side / 2)."""
         if not self.pad:
             return 0, 0
         return int(math.sqrt(size[0] / 2) * 3), int(math.sqrt(size[1] / 2) * 3)
@@ -307,98 +297,98 @@ class Predictor:
         with self._autocast():
             return self.model.relative(pixels).float()
 
-    def _estimate(
+    def _run(self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None) -> DepthOutput:
+        """Return depth and std at network resolution, averaged with those of the mirror images if so asked."""
+        return self._run_mirrored(pixels, domain) if self.flip_average else self._run_once(pixels, domain)
+
+    def _run_once(
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
-    ) -> "_Estimate":
+    ) -> DepthOutput:
+        """Return what the model says of the pixels as they are, in float32."""
         with self._autocast():
             output = self.model(pixels, domain=domain, return_std=True)
         logits = None if output.domain_logits is None else output.domain_logits.float()
-        variance = None if output.std is None else output.std.float().square()
-        return _Estimate(output.depth.float(), variance, output.domain, logits)
+        std = None if output.std is None else output.std.float()
+        return output._replace(depth=output.depth.float(), std=std, domain_logits=logits)
 
-    def _estimate_mirrored(
+    def _run_mirrored(
         self, pixels: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " batch"] | None
-    ) -> "_Estimate":
-        """The mean over each photo and its mirror image, both through one head: that of their mean logits."""
+    ) -> DepthOutput:
+        """Return the mean over each photo and its mirror image, both through one head: that of their mean logits."""
         config = self.model.config
         if isinstance(config, ModelConfig) and config.router.vote == "batch":
             # As released: the photos vote, and then, by themselves, their mirror images.
-            straight, mirrored = self._estimate(pixels, domain), self._estimate(pixels.flip(-1), domain)
-            return _mean_with_mirrored(straight, mirrored, domain=straight.domain)
+            straight, mirrored = self._run_once(pixels, domain), self._run_once(pixels.flip(-1), domain)
+            return _mirror_mean(straight, mirrored, domain=straight.domain)
         n = len(pixels)
         both = torch.cat([pixels, pixels.flip(-1)])
-        estimate = self._estimate(both, None if domain is None else domain.repeat(2))
-        logits, taken = estimate.logits, estimate.domain
+        output = self._run_once(both, None if domain is None else domain.repeat(2))
+        logits, taken = output.domain_logits, output.domain
         if domain is None:
             domain = taken[:n] if logits is None else (logits[:n] + logits[n:]).argmax(dim=1)
             again = (taken != domain.repeat(2)).nonzero().flatten()
             if len(again):
-                second = self._estimate(both[again], domain.repeat(2)[again])
-                depth, variance = estimate.depth.clone(), estimate.variance
+                second = self._run_once(both[again], domain.repeat(2)[again])
+                depth, std = output.depth.clone(), output.std
                 depth[again] = second.depth
-                if variance is not None and second.variance is not None:
-                    variance = variance.clone()
-                    variance[again] = second.variance
-                estimate = estimate._replace(depth=depth, variance=variance)
-        return _mean_with_mirrored(estimate.of(slice(n)), estimate.of(slice(n, None)), domain=domain)
+                if std is not None and second.std is not None:
+                    std = std.clone()
+                    std[again] = second.std
+                output = output._replace(depth=depth, std=std)
+        return _mirror_mean(_rows(output, slice(n)), _rows(output, slice(n, None)), domain=domain)
 
-    def _depth_map(self, photo: ImageArray, estimate: "_Estimate", size: tuple[int, int]) -> DepthMap:
-        """One photo's estimate at its own size, on the CPU."""
+    def _depth_map(self, photo: ImageArray, output: DepthOutput, size: tuple[int, int]) -> DepthMap:
+        """Return what the model says of one photo at the photo's own size, on the CPU."""
         domains = self.model.config.domains
-        domain = domains[int(estimate.domain)]
-        if estimate.logits is None:
+        domain = domains[int(output.domain)]
+        if output.domain_logits is None:
             probability = {known.name: float(known is domain) for known in domains}
         else:
-            softmax = estimate.logits[0].softmax(dim=0).tolist()
+            softmax = output.domain_logits[0].softmax(dim=0).tolist()
             probability = {known.name: p for known, p in zip(domains, softmax, strict=True)}
         shape = (photo.shape[0], photo.shape[1])
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
-        depth = _to_array(self._from_network(estimate.depth, shape, mode=self.upsampling)).clip(domain.min_depth, None)
-        std = None
-        if estimate.variance is not None:
-            std = _to_array(self._from_network(estimate.variance.sqrt(), shape, mode="bilinear"))
+        depth = _to_array(self._from_network(output.depth, shape, mode=self.upsampling)).clip(domain.min_depth, None)
+        std = None if output.std is None else _to_array(self._from_network(output.std, shape, mode="bilinear"))
         return DepthMap(depth, std, domain.name, probability, photo, size)
 
 
-class _Estimate(NamedTuple):
-    """What the model says of a batch, at network resolution."""
-
-    depth: Float[Tensor, "batch 1 height width"]
-    variance: Float[Tensor, "batch 1 height width"] | None
-    domain: Int[Tensor, " batch"]
-    logits: Float[Tensor, "batch domains"] | None
-
-    def of(self, rows: slice) -> "_Estimate":
-        """Some photos' part."""
-        logits = None if self.logits is None else self.logits[rows]
-        variance = None if self.variance is None else self.variance[rows]
-        return _Estimate(self.depth[rows], variance, self.domain[rows], logits)
+def _rows(output: DepthOutput, some: slice) -> DepthOutput:
+    """Return what a model says of some photos of a batch: depth, std, domain and its logits."""
+    std = None if output.std is None else output.std[some]
+    logits = None if output.domain_logits is None else output.domain_logits[some]
+    return DepthOutput(output.depth[some], None, output.domain[some], logits, std, None, None)
 
 
-def _mean_with_mirrored(straight: _Estimate, mirrored: _Estimate, *, domain: Int[Tensor, " batch"]) -> _Estimate:
-    """The mean of what the model says of photos and of their mirror images."""
+def _mirror_mean(straight: DepthOutput, mirrored: DepthOutput, *, domain: Int[Tensor, " batch"]) -> DepthOutput:
+    """Return the mean of what a model says of photos and of their mirror images.
+
+    Args:
+        straight: the model's output for the photos.
+        mirrored: the model's output for the photos mirrored left and right, not yet mirrored back.
+        domain: index of the head that both took.
+    """
     one, other = straight.depth, mirrored.depth.flip(-1)
-    variance = None
-    if straight.variance is not None and mirrored.variance is not None:
+    std, logits = None, straight.domain_logits
+    if straight.std is not None and mirrored.std is not None:
         spread = ((one - other) / 2) ** 2  # the variance of the two means adds to the mean of the two variances
-        variance = (straight.variance + mirrored.variance.flip(-1)) / 2 + spread
-    logits = straight.logits
-    if logits is not None and mirrored.logits is not None:
-        logits = (logits + mirrored.logits) / 2
-    return _Estimate((one + other) / 2, variance, domain, logits)
+        std = ((straight.std.square() + mirrored.std.square().flip(-1)) / 2 + spread).sqrt()
+    if logits is not None and mirrored.domain_logits is not None:
+        logits = (logits + mirrored.domain_logits) / 2
+    return DepthOutput((one + other) / 2, None, domain, logits, std, None, None)
 
 
 def resize_pixels(
     pixels: Float[Tensor, "batch 3 _ _"], size: tuple[int, int], *, antialias: bool
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Resize to what the network takes: bilinear and corners aligned, as released, or with a filter."""
+    """Resize to what the network takes: bilinear with corners aligned, as released, or with a filter."""
     if antialias:
         return F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True).clamp(0, 1)
     return F.interpolate(pixels, size, mode="bilinear", align_corners=True)
 
 
 def reflect_pad(x: Shaped[Tensor, "batch channels _ _"], vertical: int, horizontal: int) -> Shaped[Tensor, "..."]:
-    """Mirror the borders outwards, the edge itself not repeated; as often as needed, so that tiny pictures do too."""
+    """Mirror the borders outwards without repeating the edge itself, as often as a tiny picture needs it."""
     if vertical == horizontal == 0:
         return x
     rows = _reflected(x.shape[2], vertical, x.device)
@@ -407,7 +397,7 @@ def reflect_pad(x: Shaped[Tensor, "batch channels _ _"], vertical: int, horizont
 
 
 def _reflected(side: int, padding: int, device: torch.device) -> Int[Tensor, " padded"]:
-    """The pixel each place of a padded side shows: 2 1 0 1 2 3 2 1 for a side of 4 padded by 2."""
+    """Return the pixel that each place of a padded side shows: 2 1 0 1 2 3 2 1 for a side of 4 padded by 2."""
     places = torch.arange(-padding, side + padding, device=device)
     period = max(2 * (side - 1), 1)
     places = places.remainder(period)

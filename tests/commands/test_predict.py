@@ -11,12 +11,13 @@ import pytest
 import torch
 from PIL import Image
 
+from zoedepth.batch import find_photos
 from zoedepth.cli import main
-from zoedepth.commands.predict import find_photos, predict
+from zoedepth.commands.predict import predict
 from zoedepth.errors import InputError
-from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
+from zoedepth.stored import read_depth
 
 
 @pytest.fixture(autouse=True)
@@ -333,4 +334,4 @@ def test_compat_reaches_the_model(tmp_path: Path, shipped_model: ZoeDepth, monke
     )
     photo = write_photo(tmp_path / "photo.jpg")
     assert main(["predict", str(photo), "-o", str(tmp_path / "out"), "--compat", "batch-vote", "squeeze"]) == 0
-    assert asked == {"compat": ("batch-vote", "squeeze")}
+    assert asked["compat"] == ("batch-vote", "squeeze")

@@ -1,0 +1,124 @@
+"""The interface of an output: it gets the maps of a photo, writes one file, and says what a reader must know."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from zoedepth.colors import colorize
+from zoedepth.errors import InputError
+from zoedepth.images import DepthArray, ImageArray
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """The arrays known of one photo, all of one (height, width). Any network's depth can be written as files.
+
+    Raises:
+        InputError: a map is not an array (height, width), or their sizes differ.
+    """
+
+    depth: DepthArray | None = None
+    """Metres along the optical axis."""
+    std: DepthArray | None = None
+    """Metres: standard deviation of the depth."""
+    relative: DepthArray | None = None
+    """Inverse depth up to an unknown scale and shift; near is large."""
+    image: ImageArray | None = None
+    """The photo."""
+
+    def __post_init__(self) -> None:
+        maps = {"depth": self.depth, "std": self.std, "relative": self.relative}
+        known = {name: check_map(values, name) for name, values in maps.items() if values is not None}
+        sizes = {name: values.shape for name, values in known.items()}
+        if self.image is not None:
+            sizes["image"] = self.image.shape[:2]
+        if len(set(sizes.values())) > 1:
+            raise InputError(f"the maps of a photo must have one size (height, width), got {sizes}")
+
+    @property
+    def confidence(self) -> DepthArray | None:
+        """1 / (1 + std / depth), in (0, 1]; None without depth or std."""
+        return None if self.depth is None or self.std is None else self.depth / (self.depth + self.std)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to write the files, for all kinds of outputs together; each takes what concerns it.
+
+    Raises:
+        InputError: a value that no file can be written with.
+    """
+
+    png_scale: float | None = None
+    """Levels per metre of a depth PNG. None: 1000 (millimetres), or 256 for depth beyond 65.535 m."""
+    vmin: float | None = None
+    """Depth of the preview's first colour in metres; None takes it from each photo."""
+    vmax: float | None = None
+    """Depth of the preview's last colour in metres; None takes it from each photo."""
+    colormap: str = "magma_r"
+    """Colours of the preview, see ``colors.colorize``."""
+
+    def __post_init__(self) -> None:
+        if self.png_scale is not None:
+            check_png_scale(self.png_scale)
+        colorize(np.ones((1, 1)), vmin=self.vmin, vmax=self.vmax, colormap=self.colormap)
+
+
+@dataclass(frozen=True)
+class Written:
+    """What is worth saying about a file that was written."""
+
+    facts: Mapping[str, object] = field(default_factory=dict)
+    """Values for the sidecar, without which a program could not read the file right."""
+    notes: tuple[str, ...] = ()
+    """Sentences for the user about this photo, the same for each photo they hold for, so that they can be counted."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A kind of file."""
+
+    ending: str
+    """The end of its file's name, e.g. "_depth.png" for photo_depth.png."""
+    write: Callable[[Path, Maps, Options], Written]
+    """Write the file, whole or not at all (``images.atomic_path``)."""
+    suffixes: tuple[str, ...] = ()
+    """Suffixes (lower case) by which ``write_maps`` chooses this output."""
+    maps: tuple[str, ...] = ("depth",)
+    """Names of the maps it can be made of; one of them is enough."""
+
+
+def check_map(values: np.ndarray, name: str = "depth") -> np.ndarray:
+    """Return the map if it is an array (height, width).
+
+    Raises:
+        InputError: it is not.
+    """
+    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.size == 0:
+        found = getattr(values, "shape", type(values).__name__)
+        raise InputError(f"{name} must be an array (height, width), got {found}")
+    return values
+
+
+def needed(maps: Maps, name: str) -> np.ndarray:
+    """Return the map (or the image) called ``name``.
+
+    Raises:
+        InputError: there is none.
+    """
+    values = getattr(maps, name)
+    if values is None:
+        raise InputError(f"this kind of file needs {name!r}, which was not given: add it, or write another kind")
+    return values
+
+
+def check_png_scale(scale: float) -> None:
+    """Refuse a scale that no depth PNG can have.
+
+    Raises:
+        InputError: it is not a positive number.
+    """
+    if not 0 < scale < float("inf"):
+        raise InputError(f"the PNG scale is in levels per metre and must be positive, got {scale}: use 1000 or 256")
