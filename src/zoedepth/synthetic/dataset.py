@@ -1,4 +1,4 @@
-"""Rendered rooms and streets with exact depth, as a data set that needs no files."""
+"""Rendered rooms and streets with exact depth: a data set that needs no files."""
 
 from collections.abc import Sequence
 
@@ -10,9 +10,10 @@ from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.synthetic.photo import photograph
-from zoedepth.synthetic.pose import count_parts
+from zoedepth.synthetic.pose import Pose, count_parts
 from zoedepth.synthetic.render import View, render
 from zoedepth.synthetic.room import build_room
+from zoedepth.synthetic.scene import Arrays
 from zoedepth.synthetic.street import build_street
 from zoedepth.synthetic.trace import Tracer
 
@@ -22,18 +23,19 @@ _ATTEMPTS = 12
 
 
 class SyntheticScenes(Dataset[Sample]):
-    """Pictures of scenes that are made up as they are asked for. Each is of its own scene.
+    """Pictures of scenes that are made up when they are asked for, each of a scene of its own.
 
     The same (seed, index, size, domains) gives the same bits in every process of a machine, in any order.
 
     Args:
-        n: how many.
+        n: number of samples.
         size: (height, width) of the pictures.
-        seed: of everything.
-        domains: "indoor" are rooms, "outdoor" streets; sample i is of domain i modulo their number.
+        seed: chooses all scenes, cameras and photos.
+        domains: "indoor" for rooms, "outdoor" for streets. They take turns: sample i has domain i modulo their
+            number.
 
     Raises:
-        InputError: an unknown domain, or a size below 32.
+        InputError: a domain is unknown, the size is below 32 pixels, ``n`` below 1 or ``seed`` below 0.
     """
 
     def __init__(
@@ -45,10 +47,11 @@ class SyntheticScenes(Dataset[Sample]):
         domains: Sequence[str] = ("indoor", "outdoor"),
     ) -> None:
         if not domains or set(domains) - set(_BUILDERS):
-            raise InputError(f"synthetic scenes are of the domains {list(_BUILDERS)}, not {list(domains)}")
+            raise InputError(f"synthetic scenes have no domains {list(domains)}. Choose from {list(_BUILDERS)}.")
         if min(size) < 32 or n < 1 or seed < 0:
             raise InputError(
-                f"synthetic scenes need n >= 1, seed >= 0, 32 pixels each way; n={n}, seed={seed}, size={size}"
+                f"cannot render synthetic scenes with n={n}, seed={seed}, size={size}. "
+                "Use n >= 1, seed >= 0 and at least 32 pixels each way."
             )
         self.n = n
         self.size = size
@@ -59,7 +62,7 @@ class SyntheticScenes(Dataset[Sample]):
         return self.n
 
     def __getitem__(self, index: int) -> Sample:
-        """Build and render one scene. Depth is 0, and unknown, in the sky and in the view from a window.
+        """Build and render one scene. Depth is 0 (unknown) in the sky and in the view from a window.
 
         Raises:
             MissingExtraError: embreex is not installed.
@@ -85,31 +88,39 @@ class SyntheticScenes(Dataset[Sample]):
 
     @property
     def kinds(self) -> list[Target]:
-        """The kinds of target that occur: one."""
+        """The kinds of target that occur: depth alone."""
         return ["depth"]
 
 
 def make_picture(
     domain: str, size: tuple[int, int], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, Intrinsics]:
-    """(photo uint8, depth float32 metres or 0, camera) of a scene drawn from ``rng``."""
-    nearest, middle, n_parts = (0.45, 1.0, 9) if domain == "indoor" else (1.2, 4.0, 14)
+    """Draw a scene from ``rng`` and take a picture of it: (uint8 photo, float32 depth in metres or 0, camera)."""
     while True:
         place = _BUILDERS[domain](rng)
         poses = [place.draw_pose(rng) for _ in range(_ATTEMPTS)]
         arrays = place.scene.arrays(poses[0].position)
         tracer = Tracer(arrays)
-        best: tuple[int, View] | None = None
-        tries = int(rng.integers(1, 4))
-        for pose in poses:
-            shift = rng.normal(0, 0.01, 2) * size[1]
-            view = pose.view(size, (float(shift[0]), float(shift[1])))
-            count = count_parts(view, arrays, tracer, nearest=nearest, middle=middle)
-            if count >= n_parts and (best is None or count > best[0]):
-                best = count, view
-            tries -= count >= n_parts
-            if tries <= 0:
-                break
-        if best is not None:
-            picture = render(place.scene, arrays, tracer, best[1], rng)
-            return photograph(picture.color, rng), picture.depth, best[1].camera
+        view = _best_view(domain, poses, size, arrays, tracer, rng)
+        if view is not None:
+            picture = render(place.scene, arrays, tracer, view, rng)
+            return photograph(picture.color, rng), picture.depth, view.camera
+
+
+def _best_view(
+    domain: str, poses: list[Pose], size: tuple[int, int], arrays: Arrays, tracer: Tracer, rng: np.random.Generator
+) -> View | None:
+    """Choose the view that shows most parts, of the first one to three worth taking; None if no pose is."""
+    nearest, middle, n_parts = (0.45, 1.0, 9) if domain == "indoor" else (1.2, 4.0, 14)
+    best: tuple[int, View] | None = None
+    tries = int(rng.integers(1, 4))
+    for pose in poses:
+        shift = rng.normal(0, 0.01, 2) * size[1]
+        view = pose.view(size, (float(shift[0]), float(shift[1])))
+        count = count_parts(view, arrays, tracer, nearest=nearest, middle=middle)
+        if count >= n_parts and (best is None or count > best[0]):
+            best = count, view
+        tries -= count >= n_parts
+        if tries <= 0:
+            break
+    return None if best is None else best[1]

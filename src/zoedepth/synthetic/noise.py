@@ -1,4 +1,4 @@
-"""Tables of noise that repeat, made once, looked up per pixel at the sharpness the pixel can show."""
+"""Tables of noise that repeat: made once, then looked up for each pixel, as sharp as the pixel can show."""
 
 from functools import cache
 
@@ -10,7 +10,7 @@ _LEVELS = 10
 
 
 class Noise:
-    """A table of ``SIZE`` x ``SIZE`` values around 0.5, mostly in [0, 1], with all its halvings."""
+    """A table of ``SIZE`` x ``SIZE`` values in [0, 1], around 0.5, with all its halvings."""
 
     def __init__(self, table: np.ndarray) -> None:
         table = np.clip(0.5 + 0.2 * (table - table.mean()) / table.std(), 0, 1).astype(np.float32)
@@ -22,14 +22,19 @@ class Noise:
         self._starts = np.cumsum([0, *(level.size for level in levels[:-1])]).astype(np.int32)
 
     def __call__(self, u: np.ndarray, v: np.ndarray, footprint: np.ndarray) -> Float32[np.ndarray, " n"]:
-        """Its value at (u, v), in repeats of the table; ``footprint`` is the size of a pixel there."""
+        """Return the noise at points.
+
+        Args:
+            u, v: place of each point, in repeats of the table.
+            footprint: size of a pixel at each point, in repeats of the table. Finer detail is averaged.
+        """
         level = np.clip(np.log2(np.maximum(footprint * SIZE, 1e-6)) + 0.4, 0, _LEVELS - 1).astype(np.int32)
         size = SIZE >> level
         x, y = u * size, v * size
         left, top = np.floor(x), np.floor(y)
         fx, fy = x - left, y - top
         last = size - 1
-        # Far from the origin the products are large: keep them integers that wrap.
+        # Far from the origin these are large: the cast to int32 wraps them, and the mask keeps the table's period.
         column, row = left.astype(np.int64).astype(np.int32) & last, top.astype(np.int64).astype(np.int32) & last
         below, start = ((row + 1) & last) * size, self._starts[level]
         right, row = (column + 1) & last, row * size
@@ -41,7 +46,12 @@ class Noise:
 
 @cache
 def noise(name: str) -> Noise:
-    """cloud: many octaves. grain: streaks along u. speckle: dots. cells: round patches. leaf: crisp ones."""
+    """Return one of the tables, made on first use.
+
+    Args:
+        name: cloud (many octaves), grain (streaks along u), speckle (dots), cells (round patches) or leaf (crisp
+            patches).
+    """
     rng = np.random.default_rng(7)
     if name == "cloud":
         return Noise(_spectrum(rng, 1.5))
@@ -54,7 +64,7 @@ def noise(name: str) -> Noise:
 
 
 def _spectrum(rng: np.random.Generator, slope: float, *, stretch: float = 1.0) -> np.ndarray:
-    """Noise whose amplitude falls as frequency^-slope, of standard deviation 1."""
+    """Return noise of standard deviation 1 whose amplitude falls as frequency^-slope."""
     v, u = np.meshgrid(np.fft.fftfreq(SIZE) * SIZE, np.fft.rfftfreq(SIZE) * SIZE, indexing="ij")
     frequency = np.maximum(np.hypot(u * stretch, v), 1)
     amplitude = np.where(np.hypot(u, v) < 1, 0, frequency**-slope)
@@ -63,7 +73,7 @@ def _spectrum(rng: np.random.Generator, slope: float, *, stretch: float = 1.0) -
 
 
 def _cells(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Distance to the nearest of random points, on a torus."""
+    """Return the distance of each place on a torus to the nearest of ``count`` random points."""
     half = SIZE // 2
     nearest = np.full((half, half), np.inf, np.float32)
     axis = np.arange(half, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What a camera makes of light: exposure, white balance, lens, noise, compression."""
+"""A camera and its flaws: exposure, white balance, lens, noise, compression."""
 
 import io
 
@@ -10,10 +10,10 @@ from PIL import Image
 def photograph(
     light: Float32[np.ndarray, "height width 3"], rng: np.random.Generator
 ) -> UInt8[np.ndarray, "height width 3"]:
-    """An sRGB picture of linear light, by a camera drawn from ``rng``."""
+    """Take an sRGB picture of linear light with a camera drawn from ``rng``."""
     height, width = light.shape[:2]
     brightness = light.mean(-1)
-    # Exposed for the middle of the picture's brightness, more or less; bright windows and skies burn out.
+    # The exposure follows the picture's middle brightness, more or less; bright windows and skies burn out.
     grey = np.exp(np.mean(np.log(brightness + 1e-3)))
     grey = 0.7 * grey + 0.3 * np.percentile(brightness[::4, ::4], 80)
     light = light * np.float32(rng.uniform(0.2, 0.42) / max(grey, 1e-4))
@@ -45,7 +45,7 @@ def photograph(
 
 
 def _blur(picture: np.ndarray, side: float) -> np.ndarray:
-    """Mixed with its four neighbours."""
+    """Mix each pixel with its four neighbours; ``side`` is the share of each."""
     for axis in (0, 1):
         padded = np.pad(picture, [(1, 1) if k == axis else (0, 0) for k in range(3)], mode="edge")
         before, after = (np.take(padded, range(s, s + picture.shape[axis]), axis) for s in (0, 2))
@@ -54,7 +54,7 @@ def _blur(picture: np.ndarray, side: float) -> np.ndarray:
 
 
 def _bloom(picture: np.ndarray, amount: float) -> np.ndarray:
-    """A glow around what is brighter than white."""
+    """Add a glow around pixels that are nearly white or brighter."""
     height, width = picture.shape[:2]
     bright = np.clip(picture - 0.8, 0, 3)
     small = Image.fromarray((bright.mean(-1) * 80).astype(np.uint8)).resize(

@@ -1,4 +1,4 @@
-"""Where a camera stands and looks, and whether a picture from there is worth taking."""
+"""The place and direction of a camera, and the check that a picture from there is worth taking."""
 
 import math
 from typing import NamedTuple
@@ -12,19 +12,24 @@ from zoedepth.synthetic.trace import Tracer
 
 
 class Pose(NamedTuple):
-    """A camera, angles in radians."""
+    """A camera: its place in metres, its angles in radians."""
 
     position: tuple[float, float, float]
     yaw: float
-    """Direction of sight, from x towards y."""
+    """Direction of sight, counted from x towards y."""
     pitch: float
     """Positive looks up."""
     roll: float
     field_of_view: float
-    """Across the picture's width."""
+    """Angle across the picture's width."""
 
     def view(self, size: tuple[int, int], shift: tuple[float, float] = (0.0, 0.0)) -> View:
-        """The pinhole camera of a picture of ``size`` (height, width); ``shift`` moves the principal point, pixels."""
+        """Return the pinhole camera of a picture taken from here.
+
+        Args:
+            size: (height, width) of the picture, pixels.
+            shift: how far the principal point lies to the right of and below the middle, pixels.
+        """
         cy, sy, cp, sp = math.cos(self.yaw), math.sin(self.yaw), math.cos(self.pitch), math.sin(self.pitch)
         ahead = np.array([cy * cp, sy * cp, sp])
         right = np.array([sy, -cy, 0.0])
@@ -37,11 +42,13 @@ class Pose(NamedTuple):
 
 
 def count_parts(view: View, arrays: Arrays, tracer: Tracer, *, nearest: float, middle: float) -> int:
-    """How many parts a few hundred rays find; 0 for a picture of the inside of a thing, of one surface, or of sky.
+    """Count the parts that a few hundred rays find.
+
+    Return 0 if the camera is inside of a thing, or if the picture would show little but sky or one surface.
 
     Args:
-        nearest: at most 1 % of the rays may end nearer, metres.
-        middle: the median depth must be at least this, metres.
+        nearest: distance in metres that at most 1 % of the rays may stay below.
+        middle: smallest median depth, metres.
     """
     step = max(1, min(view.size) // 18)
     rays = view.rays(step)

@@ -1,4 +1,4 @@
-"""What rays meet: positions, normals and colours of hits."""
+"""The surfaces that rays meet: positions, normals and colours of hits."""
 
 from typing import NamedTuple
 
@@ -6,20 +6,18 @@ import numpy as np
 from jaxtyping import Bool, Float32, Int32
 
 from zoedepth.synthetic.scene import Arrays, Material
-from zoedepth.synthetic.textures import PATTERNS, Surface, pattern_albedo
+from zoedepth.synthetic.textures import PATTERNS, Column, Surface, pattern_albedo
 from zoedepth.synthetic.trace import Hits, Vectors
-
-Column = Float32[np.ndarray, " n"]
 
 
 class Table(NamedTuple):
-    """The materials of all parts, by number of the part."""
+    """The materials of all parts, one row a part; colours are linear."""
 
     pattern: Int32[np.ndarray, " part"]
     color: Float32[np.ndarray, "part 3"]
     second: Float32[np.ndarray, "part 3"]
     mean: Float32[np.ndarray, "part 3"]
-    """About the average colour, for light that bounces off."""
+    """Rough average colour, for light that bounces off."""
     scale: Float32[np.ndarray, " part"]
     gloss: Float32[np.ndarray, " part"]
     mirror: Float32[np.ndarray, " part"]
@@ -27,12 +25,13 @@ class Table(NamedTuple):
     known: Bool[np.ndarray, " part"]
     grain: Bool[np.ndarray, " part"]
     random: Float32[np.ndarray, " part"]
+    """A number in [0, 1) that shifts the pattern; the same for all parts with the world's pattern."""
     origin: Float32[np.ndarray, " part"]
     """1 where the pattern starts at the part's middle, 0 where it is the world's."""
 
 
 def material_table(materials: list[Material], rng: np.random.Generator) -> Table:
-    """The columns of the materials; ``rng`` shifts the pattern of each part."""
+    """Return the materials as columns; ``rng`` shifts the pattern of each part."""
     number = {name: index for index, name in enumerate(PATTERNS)}
     color, second = (
         linear(np.array(colors, np.float32)) for colors in zip(*((m.color, m.second) for m in materials), strict=True)
@@ -59,19 +58,24 @@ def material_table(materials: list[Material], rng: np.random.Generator) -> Table
 
 
 class Met(NamedTuple):
-    """The hits of rays that met something."""
+    """The places where rays met something."""
 
     part: Int32[np.ndarray, " n"]
     point: Vectors
     normal: Vectors
-    """Unit, towards the viewer, smooth on curved shapes."""
+    """Unit normal towards the viewer, smooth on curved shapes."""
     face: Vectors
     """Unit normal of the triangle, towards the viewer."""
     distance: Column
+    """Distance in lengths of the ray's direction."""
 
 
 def meet(arrays: Arrays, hits: Hits, origins: Vectors, directions: Vectors, *, smooth: bool = True) -> Met:
-    """Positions and normals of hits none of which is a miss."""
+    """Return positions and normals of hits, none of which may be a miss.
+
+    Args:
+        smooth: interpolate the normals of curved shapes, or use those of the triangles.
+    """
     part = arrays.owner.take(hits.triangle)
     point = origins + directions * hits.distance[:, None]
     face = hits.face
@@ -90,10 +94,10 @@ def meet(arrays: Arrays, hits: Hits, origins: Vectors, directions: Vectors, *, s
 
 
 def albedo(arrays: Arrays, table: Table, met: Met, pixel: Column) -> tuple[Float32[np.ndarray, "n 3"], Column]:
-    """(linear colour, share of mirrored light) of hits.
+    """Return (linear colour, share of mirrored light) of hits.
 
     Args:
-        pixel: size of a pixel at each, metres.
+        pixel: size of a pixel at each hit, metres.
     """
     part = met.part
     back = arrays.rotation.take(part, 0).transpose(0, 2, 1)
@@ -131,26 +135,26 @@ def albedo(arrays: Arrays, table: Table, met: Met, pixel: Column) -> tuple[Float
 
 
 def linear(colors: np.ndarray) -> np.ndarray:
-    """sRGB, about, to linear."""
+    """Turn sRGB colours into linear ones, by a power of 2.2."""
     return (np.clip(colors, 0, 1) ** 2.2).astype(np.float32)
 
 
 def dot(a: Vectors, b: Vectors) -> Column:
-    """Row by row; by columns, which is several times faster than ``np.einsum`` for three."""
+    """Return the dot product of each row, several times faster than ``np.einsum`` for three columns."""
     return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
 
 def turn(matrices: Float32[np.ndarray, "n 3 3"], vectors: Vectors) -> Vectors:
-    """Matrix times vector, row by row."""
+    """Multiply each matrix by the vector of its row."""
     return np.stack([dot(matrices[:, row], vectors) for row in range(3)], 1)
 
 
 def cross(a: Vectors, b: Vectors) -> Vectors:
-    """Row by row; several times faster than ``np.cross``."""
+    """Return the cross product of each row, several times faster than ``np.cross``."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], 1)
 
 
 def norm(a: Vectors) -> Column:
-    """Lengths of the rows."""
+    """Return the length of each row."""
     return np.sqrt(dot(a, a))

@@ -1,4 +1,4 @@
-"""Rays into a scene's triangles, by Intel's Embree."""
+"""Rays into a scene's triangles, traced by Intel's Embree."""
 
 import os
 from functools import cache
@@ -17,22 +17,23 @@ class Hits(NamedTuple):
     """Where rays first meet a surface."""
 
     distance: Float32[np.ndarray, " n"]
-    """In lengths of the ray's direction; infinite for a miss."""
+    """Distance in lengths of the ray's direction; infinite for a miss."""
     triangle: Int32[np.ndarray, " n"]
-    """-1 for a miss."""
+    """Number of the triangle; -1 for a miss."""
     face: Float32[np.ndarray, "n 3"]
-    """The triangle's normal, of any length, on either side."""
+    """Normal of the triangle, of any length; it may point away from the viewer."""
     first: Float32[np.ndarray, " n"]
+    """Weight of the triangle's second corner at the hit."""
     second: Float32[np.ndarray, " n"]
-    """Weights of the triangle's second and third corner."""
+    """Weight of its third corner."""
 
     def take(self, rows: np.ndarray) -> "Hits":
-        """Those of some rays."""
+        """Return the hits of some of the rays."""
         return Hits(*(column.take(rows, 0) for column in self))
 
 
 class Tracer:
-    """A scene's triangles, ready for rays.
+    """The triangles of a scene, ready for rays.
 
     Raises:
         MissingExtraError: embreex is not installed.
@@ -44,7 +45,12 @@ class Tracer:
         self._mesh = meshes.TriangleMesh(self._scene, arrays.vertices, arrays.triangles)
 
     def hits(self, origins: Vectors, directions: Vectors) -> Hits:
-        """The first surface along each ray."""
+        """Return the first surface that each ray meets.
+
+        Args:
+            origins: one point for all rays, or one each.
+            directions: of any length.
+        """
         found = self._scene.run(_rows(origins, len(directions)), np.ascontiguousarray(directions), output=1)
         triangle = found["primID"]
         return Hits(
@@ -52,7 +58,7 @@ class Tracer:
         )
 
     def blocked(self, origins: Vectors, directions: Vectors, far: Float32[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-        """Whether anything is met before ``far``, in lengths of the direction."""
+        """Return True where a ray meets something before ``far``, in lengths of its direction."""
         if not len(directions):
             return np.zeros(0, bool)
         # Embree overwrites the distances it is given.
@@ -68,7 +74,7 @@ def _rows(origins: Vectors, count: int) -> Vectors:
 
 @cache
 def _embree(process: int) -> tuple[Any, Any, Any]:
-    """(mesh module, scene module, device). Each process has its own device: a forked one cannot use its parent's."""
+    """Return (mesh module, scene module, device), one device a process: a forked process cannot use its parent's."""
     try:
         from embreex import mesh_construction, rtcore_scene
         from embreex.rtcore import EmbreeDevice

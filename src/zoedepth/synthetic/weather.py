@@ -1,4 +1,4 @@
-"""Sun and sky."""
+"""The sun and the sky."""
 
 import math
 
@@ -7,9 +7,8 @@ from zoedepth.synthetic.scene import Scene, Sky, Sun
 
 
 def weather(scene: Scene, rng: Random) -> None:
-    """Sunny, hazy or overcast."""
-    azimuth, elevation = rng.uniform(-math.pi, math.pi), rng.uniform(0.2, 1.2)
-    towards = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+    """Give a street its sun, sky and haze: sunny, hazy or overcast."""
+    towards, elevation = _direction(rng, 0.2, 1.2)
     overcast = rng.random() < 0.35
     bright = rng.uniform(0.8, 1.2)
     if overcast:
@@ -37,10 +36,16 @@ def weather(scene: Scene, rng: Random) -> None:
 
 
 def daylight(scene: Scene, rng: Random) -> None:
-    """Sun, perhaps, in any direction; some of it falls in through windows."""
-    azimuth, elevation = rng.uniform(-math.pi, math.pi), rng.uniform(0.25, 1.0)
-    towards = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+    """Give a room the sky outside, and in most cases a sun that may fall in through its windows."""
+    towards, _ = _direction(rng, 0.25, 1.0)
     strength = rng.uniform(1.5, 6.0) if rng.random() < 0.6 else 0.0
     if strength:
         scene.sun = Sun(towards, (strength, strength * 0.93, strength * 0.8), rng.uniform(0.005, 0.02))
     scene.sky = Sky((0.9, 1.0, 1.2), (1.1, 1.1, 1.1), (0.4, 0.4, 0.35), 0, 0, 0)
+
+
+def _direction(rng: Random, lowest: float, highest: float) -> tuple[tuple[float, float, float], float]:
+    """Draw a direction to the sun: (unit vector, elevation in radians between ``lowest`` and ``highest``)."""
+    azimuth, elevation = rng.uniform(-math.pi, math.pi), rng.uniform(lowest, highest)
+    level = math.cos(elevation)
+    return (level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)), elevation
