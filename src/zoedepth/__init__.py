@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from zoedepth.errors import InputError, ZoeDepthError
     from zoedepth.model.interface import DepthModel, DepthOutput
     from zoedepth.predict import DepthMap, Predictor
+    from zoedepth.stored import read_depth
     from zoedepth.weights.load import ZoeDepth, available_models, load_model, push_to_hub, save_model
 
 __version__ = "0.1.0"
@@ -32,6 +33,7 @@ __all__ = [
     "build_model",
     "load_model",
     "push_to_hub",
+    "read_depth",
     "save_model",
 ]
 
@@ -58,6 +60,8 @@ def __getattr__(name: str) -> object:
         from zoedepth.weights import load
 
         value = getattr(load, name)
+    elif name == "read_depth":
+        from zoedepth.stored import read_depth as value
     else:
         raise AttributeError(f"module 'zoedepth' has no attribute {name!r}")
     globals()[name] = value

@@ -9,7 +9,7 @@ from PIL import Image
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.images import write_depth_png
+from zoedepth.outputs.depth import write_depth_png
 
 
 def photo(path: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.utils.data import DataLoader, Dataset, Subset
 
-from zoedepth.data.mix import Mixture, Positions, Source
+from zoedepth.data.mix import Component, Mixture, Positions
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 
@@ -39,7 +39,7 @@ def first(samples: list[Sample]) -> list[tuple[str, float]]:
 
 def mixture(sizes: list[int], weights: list[int], *, seed: int = 0, turn: int = 1) -> Mixture:
     sources = [
-        Source(Numbered(f"data{index}", size), [add_noise], weight)
+        Component(Numbered(f"data{index}", size), [add_noise], weight)
         for index, (size, weight) in enumerate(zip(sizes, weights, strict=True))
     ]
     return Mixture(sources, seed=seed, turn=turn)
@@ -194,7 +194,7 @@ class InOrder(Numbered):
 
 
 def items(dataset: Dataset[Sample], n: int) -> list[int]:
-    mixed = Mixture([Source(dataset, [])], seed=0)
+    mixed = Mixture([Component(dataset, [])], seed=0)
     return [mixed.locate(position)[1] for position in range(n)]
 
 

@@ -14,7 +14,7 @@ from tests.folders import write_csv, write_disparity_pairs, write_pairs
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.images import write_depth_png
+from zoedepth.outputs.depth import write_depth_png
 
 
 def write_pair(folder: Path, stored: np.ndarray, **row: object) -> Path:
@@ -441,7 +441,13 @@ def npy_header(shape: tuple[int, ...]) -> bytes:
 
 @pytest.mark.parametrize(
     ("shape", "word"),
-    [((10**6, 10**6), "more than"), ((2, 3, 4), "one map"), ((6,), "one map"), ((0, 5), "one map"), ((9, 9), "buffer")],
+    [
+        ((10**6, 10**6), "more than"),
+        ((2, 3, 4), "one map"),
+        ((6,), "one map"),
+        ((0, 5), "one map"),
+        ((9, 9), "cut short"),
+    ],
 )
 def test_map_that_is_not_what_it_promises_is_an_error(tmp_path: Path, shape: tuple[int, ...], word: str) -> None:
     path = write_pair(tmp_path, np.ones((2, 3), np.uint16), depth="depth.npy", domain="indoor")

@@ -1,7 +1,7 @@
-"""Augmentations: functions of a sample and a random generator, the same for photo, target and mask.
+"""Augmentations: functions of a sample and a random generator that change photo, target and mask alike.
 
-A list of them is applied in order by ``augment``. Those that move pixels keep the geometry honest: the target stays
-what the camera would have measured.
+``augment`` applies a list of them in order. An augmentation that moves pixels keeps the geometry honest: the target
+stays the one that the camera would have measured.
 """
 
 import math
@@ -20,7 +20,7 @@ Augmentation = Callable[[Sample, np.random.Generator], Sample]
 
 
 def augment(sample: Sample, augmentations: Sequence[Augmentation], rng: np.random.Generator) -> Sample:
-    """Apply each in turn."""
+    """Apply each augmentation in turn."""
     for augmentation in augmentations:
         sample = augmentation(sample, rng)
     return sample
@@ -34,18 +34,18 @@ def fit_crop(
     scale_depth: bool = True,
     sparse: bool = False,
 ) -> Augmentation:
-    """A window of the photo, of the shape of ``size``, resized to it.
+    """Cut a window of the shape of ``size`` out of the photo, and resize it to that size.
 
-    Without zoom the window is the largest that fits: the scale is the one at which the whole photo would be seen by the
-    network. A zoom by z takes a window z times smaller, at a place drawn uniformly. For a camera of unchanged focal
+    Without zoom the window is the largest that fits: the network sees it at the scale at which it would see the whole
+    photo. A zoom by z takes a window z times smaller, at a place drawn uniformly. For a camera of the same focal
     length that is a scene z times nearer, so depth is divided by z.
 
     Args:
         size: (height, width) of the result.
-        max_zoom: z is drawn log-uniformly from 1 to this.
+        max_zoom: the largest z; z is drawn log-uniformly from 1 to it.
         probability: share of the samples that are zoomed; the others have z = 1.
-        scale_depth: divide depth by z. False is a change of focal length instead.
-        sparse: depth is known at scattered points, all of which are kept: see ``gather_points``.
+        scale_depth: divide depth by z. False makes the zoom a change of focal length instead.
+        sparse: depth is known at scattered points, which are all kept: see ``gather_points``.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -61,9 +61,9 @@ def fit_crop(
 
 
 def window(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
-    """A window of ``size`` pixels of the photo, at a place drawn uniformly, not resized (BTS, AdaBins, PixelBins).
+    """Cut a window of ``size`` pixels out of the photo at a random place, without resizing (BTS, AdaBins, PixelBins).
 
-    Of photos smaller than that, the largest window of its shape, resized. ``sparse``: see ``fit_crop``.
+    A photo that is smaller gives its largest window of that shape, resized. ``sparse``: see ``fit_crop``.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -77,7 +77,7 @@ def window(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
 
 
 def squeeze(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
-    """The whole photo resized to ``size``, whatever its shape (the released training); ``sparse``: see ``fit_crop``."""
+    """Resize the whole photo to ``size``, whatever its shape (the released training); ``sparse``: see ``fit_crop``."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         height, width = sample.image.shape[-2:]
@@ -87,7 +87,7 @@ def squeeze(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
 
 
 def kitti_crop() -> Augmentation:
-    """The bottom centre 352x1216 of the photo (the "KB crop" of KITTI's depth benchmark); smaller photos stay."""
+    """Cut out the bottom centre 352x1216 (the "KB crop" of KITTI's depth benchmark); smaller photos stay."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         height, width = sample.image.shape[-2:]
@@ -113,15 +113,15 @@ def flip(*, probability: float = 0.5) -> Augmentation:
 
 
 def rotate(*, degrees: float = 1.0) -> Augmentation:
-    """Turn about the centre by an angle drawn from +-``degrees``; corners from outside are black and unknown.
+    """Turn about the centre by an angle drawn from +-``degrees``. Corners that come from outside are black and unknown.
 
-    The camera stays, as if its principal point were the centre.
+    The camera stays the same, as if its principal point were the centre.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         angle = math.radians(rng.uniform(-degrees, degrees))
         height, width = sample.image.shape[-2:]
-        # affine_grid works in units of half the picture's sides.
+        # affine_grid counts in halves of the picture's sides.
         cos, sin = math.cos(angle), math.sin(angle)
         theta = torch.tensor([[[cos, -sin * height / width, 0], [sin * width / height, cos, 0]]])
         grid = F.affine_grid(theta, [1, 1, height, width], align_corners=False)
@@ -141,7 +141,7 @@ def jitter_colors(
     channel_gain: tuple[float, float] = (0.9, 1.1),
     saturation: tuple[float, float] = (1.0, 1.0),
 ) -> Augmentation:
-    """Gamma, brightness, a gain for each channel (all as released), and saturation (0 is grey)."""
+    """Change gamma, brightness, the gain of each channel (all as released), and saturation (0 is grey)."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         if rng.random() >= probability:
@@ -155,7 +155,7 @@ def jitter_colors(
 
 
 def limit_depth(min_depth: float, max_depth: float) -> Augmentation:
-    """Depth at or beyond these bounds (metres) counts as unknown. Disparity stays."""
+    """Make depth at or beyond these bounds (metres) unknown. Disparity stays."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         if sample.kind == "disparity":
@@ -166,7 +166,7 @@ def limit_depth(min_depth: float, max_depth: float) -> Augmentation:
 
 
 def to_disparity() -> Augmentation:
-    """Depth to disparity 1 / depth, each image's known values scaled to [0, 1] (MiDaS; stage 1 only)."""
+    """Turn depth into disparity 1 / depth, and scale each image's known values to [0, 1] (MiDaS; stage 1 only)."""
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         inverse = 1 / sample.target.clamp(min=1e-3) if sample.kind == "depth" else sample.target
@@ -181,7 +181,7 @@ def to_disparity() -> Augmentation:
 
 
 def _map(sample: Sample, change: Callable[[torch.Tensor], torch.Tensor]) -> Sample:
-    """The same change of the pixel grid for photo, target and mask."""
+    """Change the pixel grid of photo, target and mask alike."""
     return replace(sample, image=change(sample.image), target=change(sample.target), mask=change(sample.mask))
 
 
@@ -194,12 +194,12 @@ def _resized_window(
     if sparse:
         target, mask = gather_points(cropped.target, cropped.mask, size, nearest_is_smallest=sample.kind == "depth")
     else:
-        # Nearest pixel: the mean of a near and a far depth is a depth of nothing.
+        # Nearest pixel: the mean of a near and a far depth is the depth of neither.
         target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
         mask = F.interpolate(cropped.mask[None].float(), size, mode="nearest-exact")[0] > 0.5
     target = target / zoom if sample.kind == "depth" else target
     if camera and zoom != 1:
-        # Nearer, through the lens of before: the picture is the same, the focal length is not.
+        # The scene comes nearer through the same lens: the picture is the same, the focal length is not.
         camera = replace(camera, fx=camera.fx / zoom, fy=camera.fy / zoom)
     return replace(sample, image=image.clamp(0, 1), target=target, mask=mask, camera=camera)
 
@@ -211,11 +211,11 @@ def gather_points(
     *,
     nearest_is_smallest: bool,
 ) -> tuple[Float[Tensor, "1 _ _"], Bool[Tensor, "1 _ _"]]:
-    """Scattered depth at another size: each known point goes to the pixel it falls in, the nearest of several wins.
+    """Bring scattered depth to another size: each known point goes to its pixel, where the nearest of several wins.
 
     Args:
         target: depth, or disparity.
-        mask: where it is known.
+        mask: True where it is known.
         size: (height, width) of the result.
         nearest_is_smallest: True for depth, False for disparity.
     """

@@ -1,4 +1,4 @@
-"""Data sets in the format of Hugging Face ``datasets``: at the Hub, or saved to disk. No code of theirs is run."""
+"""Data sets of Hugging Face's library ``datasets``, from the Hub or from disk. None of their code is run."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,51 +8,55 @@ from torch.utils.data import Dataset
 
 from zoedepth.data.facts import Facts, read_defaults
 from zoedepth.data.sample import Sample, Target
-from zoedepth.data.targets import Memory, Stored, read_stored, to_sample
+from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import MAX_PIXELS, read_image
+from zoedepth.stored import Memory, StoredMap, read_stored
 
 if TYPE_CHECKING:
     import datasets
 
 PHOTOS = ("image", "rgb")
-"""Columns that hold the photo; the first that is there."""
+"""Columns that may hold the photo; the first that is there is taken."""
 
 DEPTHS = ("depth_map", "depth")
-"""Columns that hold depth; the first that is there."""
+"""Columns that may hold depth; the first that is there is taken."""
 
 _MAGIC = {b"\x89PNG": ".png", b"II*\0": ".tiff", b"MM\0*": ".tiff"}
 
 
 def load_hub(repo: str, *, split: str, revision: str | None = None, config: str | None = None) -> "datasets.Dataset":
-    """A split of a data set at the Hub, downloaded if it is not in the cache.
+    """Load a split of a data set at the Hub, and download it if it is not in the cache.
 
     Args:
         repo: owner/name.
-        split: its name, or as ``datasets`` cuts splits: train[:100].
+        split: its name, or a part of it as ``datasets`` writes it: train[:100].
         revision: branch, tag or commit.
-        config: name of the configuration, where it has several.
+        config: name of the configuration, where the data set has several.
 
     Raises:
-        InputError: it cannot be had.
+        InputError: it cannot be downloaded or read.
         MissingExtraError: ``datasets`` is not installed.
     """
     library = _library()
     try:
         return library.load_dataset(repo, config, split=split, revision=revision)
     except Exception as error:  # the library raises nearly anything, also its dependencies' errors
-        raise InputError(f"cannot load {split!r} of {repo} from Hugging Face: {error}") from error
+        raise InputError(
+            f"cannot load {split!r} of {repo} from Hugging Face: {error}. "
+            "Check its name, your connection and your log-in"
+        ) from error
 
 
 def is_saved(folder: Path) -> bool:
-    """Whether ``save_to_disk`` wrote a folder."""
+    """Return True if ``save_to_disk`` wrote the folder."""
     return (folder / "dataset_dict.json").is_file() or all(
         (folder / name).is_file() for name in ("dataset_info.json", "state.json")
     )
 
 
 def load_saved(folder: Path, *, split: str) -> "datasets.Dataset":
-    """A folder that ``save_to_disk`` wrote. One without splits is all of any of them.
+    """Load a folder that ``save_to_disk`` wrote. One without splits is the same for every split.
 
     Raises:
         InputError: it is damaged, or has no such split.
@@ -66,12 +70,12 @@ def load_saved(folder: Path, *, split: str) -> "datasets.Dataset":
     if not isinstance(loaded, library.DatasetDict):
         return loaded
     if split not in loaded:
-        raise InputError(f"{folder} has the splits {sorted(map(str, loaded))}, and not {split!r}")
+        raise InputError(f"{folder} has the splits {sorted(map(str, loaded))}, and not {split!r}: choose one of them")
     return loaded[split]
 
 
 class HuggingFaceDataset(Dataset[Sample]):
-    """Rows with a photo and its depth, as ``Sample`` at their own size.
+    """Rows with a photo and its depth, each as a ``Sample`` at its own size.
 
     A photo is an ``Image`` in the column ``image`` or ``rgb``. Depth is in ``depth_map`` or ``depth``: an array
     (height, width), or an ``Image``, PNG or TIFF, of one channel. Floats are metres, whole numbers
@@ -81,11 +85,11 @@ class HuggingFaceDataset(Dataset[Sample]):
         data: the rows.
         name: what to call them in messages and names.
         depth_scale: the stored value of one metre.
-        domain: of all photos.
-        folder: where ``dataset.json`` may say what the arguments do not.
+        domain: scene type of all photos.
+        folder: has the ``dataset.json`` that may say what the arguments do not.
 
     Raises:
-        InputError: columns are missing, there are no rows, or no domain.
+        InputError: columns are missing, there are no rows, or nobody says the domain.
     """
 
     def __init__(
@@ -136,12 +140,12 @@ class HuggingFaceDataset(Dataset[Sample]):
 
     @property
     def domains(self) -> list[str]:
-        """The one domain."""
+        """The domain of all rows, in a list."""
         return [self._facts.domain or ""]
 
     @property
     def kinds(self) -> list[Target]:
-        """The kind of target: depth."""
+        """The kind of target, in a list: depth."""
         return ["depth"]
 
 
@@ -156,7 +160,7 @@ def _library() -> Any:
 
 
 def _undecoded(column: "datasets.Dataset") -> "datasets.Dataset":
-    """Images as their files, arrays as arrays."""
+    """Return a column whose images come as files, and arrays as arrays."""
     [(name, feature)] = column.features.items()
     image = _library().Image
     return column.cast_column(name, image(decode=False)) if isinstance(feature, image) else column.with_format("numpy")
@@ -167,11 +171,11 @@ def _file(cell: Any, name: str) -> Memory | Path:
         return Memory(cell["bytes"], name, _MAGIC.get(cell["bytes"][:4], ""))
     path = cell.get("path") if isinstance(cell, dict) else None
     if not path or not Path(path).is_file():
-        raise InputError(f"{name}: there is nothing")
+        raise InputError(f"{name}: the cell is empty. Remove this row")
     return Path(path)
 
 
-def _stored(cell: Any, name: str) -> Stored:
+def _stored(cell: Any, name: str) -> StoredMap:
     if isinstance(cell, dict):
         return read_stored(_file(cell, name))
     values = np.asarray(cell)
@@ -179,4 +183,4 @@ def _stored(cell: Any, name: str) -> Stored:
     values = values[0] if values.ndim == 3 and values.shape[0] == 1 else values
     if values.ndim != 2 or values.dtype.kind not in "uif" or not 0 < values.size <= MAX_PIXELS:
         raise InputError(f"{name}: must be one map (height, width) of numbers; it is {values.dtype} {values.shape}")
-    return Stored(values)
+    return StoredMap(values)

@@ -5,49 +5,49 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts, parse_json
+from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts
 from zoedepth.data.sample import Target
-from zoedepth.data.targets import png_scale
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import declared_scale, parse_json
 
 MISSING = "None"
-"""What a list writes for a depth that there is not."""
+"""The word that stands in a list where a photo has no depth."""
 
 _MAX_LINE = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """A photo and its depth, as a list or a folder has them."""
+    """A photo and its depth, in the files that a list or a folder names."""
 
     image: Path
     target: Path | None
     """None where the list says that there is none."""
     kind: Target
     scale: float | None
-    """depth: the stored value of one metre; None where the list does not say. disparity: 1."""
+    """Depth: the stored value of one metre, None where the list does not say it. Disparity: 1."""
     domain: str
     camera: Intrinsics | None = None
-    """Of the photo at its size."""
+    """The camera at the size of the photo."""
     mask: Path | None = None
     """A PNG, not zero where the target is valid."""
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """All of them."""
+        """All files of the pair."""
         return tuple(path for path in (self.image, self.target, self.mask) if path is not None)
 
 
 def read_list(path: Path, defaults: Facts) -> list[Pair]:
-    """The pairs of a list, by its suffix: .jsonl, .txt (BTS), anything else is CSV. Files are relative to its folder.
+    """Read the pairs of a list: .jsonl, .txt (BTS), anything else is CSV. Its files are relative to its folder.
 
     Args:
         path: the list.
-        defaults: for lines that say nothing of it.
+        defaults: what holds for lines that do not say it themselves.
 
     Raises:
-        InputError: not text, or a malformed line, which is named.
+        InputError: the list is not text, is empty, or has a malformed line, which is named.
     """
     readers: dict[str, Callable[[Path, Facts], Iterator[Pair]]] = {".jsonl": _read_jsonl, ".txt": _read_bts}
     pairs = list(readers.get(path.suffix.lower(), _read_csv)(path, defaults))
@@ -57,17 +57,17 @@ def read_list(path: Path, defaults: Facts) -> list[Pair]:
 
 
 def check_unit(pair: Pair, defaults: Facts, where: str) -> None:
-    """Nobody knows the unit of a PNG unless the list, the defaults or the file itself say it.
+    """Check that the list, the defaults or the file itself says the unit of a PNG.
 
     Raises:
         InputError: none of them does.
     """
     if pair.target is None or pair.scale or defaults.depth_scale or pair.target.suffix.lower() != ".png":
         return
-    if png_scale(pair.target) is None:
+    if declared_scale(pair.target) is None:
         raise InputError(
-            f"{where}: depth_scale must be the stored value of one metre, and {pair.target.name} does not say its own; "
-            f'give it in the list, or for all files by {{"depth_scale": 1000}} in {DEFAULTS_FILE} beside the data'
+            f"{where}: nobody says the depth_scale of {pair.target.name}, its stored value of one metre. Give it in "
+            f'the list, or for all files by {{"depth_scale": 1000}} in {DEFAULTS_FILE} beside the data'
         )
 
 
@@ -92,44 +92,49 @@ def _read_jsonl(path: Path, defaults: Facts) -> Iterator[Pair]:
 
 
 def _read_bts(path: Path, defaults: Facts) -> Iterator[Pair]:
-    """Lines ``photo depth focal``. A focal length without a principal point is no camera, and is left alone."""
+    """Read lines ``photo depth focal``. A focal length without a principal point is not a camera, and is ignored."""
     for number, line in enumerate(_lines(path), start=1):
         if not (words := line.split()):
             continue
         where = f"{path}, line {number}"
         if len(words) < 2:
-            raise InputError(f"{where}: needs a photo and its depth, or {MISSING}")
+            raise InputError(f"{where}: needs a photo and its depth (or {MISSING}); it has only {words[0]!r}")
         # Lists in circulation begin their paths with a slash, and mean a folder of their own all the same.
         row = {"image": words[0].lstrip("/"), "depth": words[1].lstrip("/")}
         yield _parse(row, path, where, defaults)
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """The lines of a text file, none of them endless."""
+    """Yield the lines of a text file, and refuse one without end."""
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:  # -sig: spreadsheets write a mark first
             number = 0
             while line := file.readline(_MAX_LINE):
                 number += 1
                 if len(line) == _MAX_LINE:
-                    raise InputError(f"{path}, line {number}: longer than {_MAX_LINE:,} characters; this is no list")
+                    raise InputError(f"{path}, line {number}: longer than {_MAX_LINE:,} characters; this is not a list")
                 yield line
     except UnicodeDecodeError as error:
         kind = "CSV file" if path.suffix.lower() == ".csv" else "list"
-        raise InputError(f"{path} is not a {kind} in UTF-8 ({error})") from error
+        raise InputError(f"{path} is not a {kind} in UTF-8 ({error}): save it again in UTF-8") from error
 
 
 def _parse(row: Mapping[str, object], path: Path, where: str, defaults: Facts) -> Pair:
-    """A line of a list."""
+    """Make a pair of one line of a list."""
     image = row.get("image") or row.get("rgb")
     kinds: list[Target] = [kind for kind in ("depth", "disparity") if row.get(kind)]
-    if not image or len(kinds) != 1:
-        raise InputError(f"{where}: needs image and one of depth or disparity")
+    if not image:
+        raise InputError(f"{where}: has no image. Give the photo's path in the column image")
+    if len(kinds) != 1:
+        found = "both" if kinds else "neither"
+        raise InputError(
+            f"{where}: needs one of depth and disparity, and has {found}. For a photo alone write {MISSING}"
+        )
     kind = kinds[0]
     said = parse_facts(row, where)
     facts = said.over(defaults)
     if kind == "depth" and not facts.domain:
-        raise InputError(f"{where}: needs a domain, for example indoor")
+        raise InputError(f"{where}: needs a domain, for example indoor. Give it in the list or in {DEFAULTS_FILE}")
     mask = row.get("mask")
     pair = Pair(
         _inside(image, path, where),
@@ -147,5 +152,7 @@ def _parse(row: Mapping[str, object], path: Path, where: str, defaults: Facts) -
 def _inside(name: object, path: Path, where: str) -> Path:
     # A list is data from elsewhere: it may not reach out of its folder.
     if not isinstance(name, str) or Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(f"{where}: {name!r} must be a path inside the folder of the list")
+        raise InputError(
+            f"{where}: {name!r} must be a path inside the folder of the list, without .. and relative to it"
+        )
     return path.parent / name

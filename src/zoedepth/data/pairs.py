@@ -1,21 +1,21 @@
 """Photos with depth as files: the formats for your own data.
 
-A list, with paths relative to it. CSV, one line a pair::
+A list, with paths relative to it. CSV has one line a pair::
 
     image,depth,depth_scale,domain
     image/0001.jpg,depth/0001.png,1000,indoor
 
 ``depth`` is a 16-bit PNG, metres = value / ``depth_scale``, 0 where unknown; or an .npy, .npz, .exr or .tiff, where
-floating point is metres and needs no ``depth_scale``; nor does a PNG of this package, which says its own.
-``disparity`` in its place is inverse depth up to an unknown scale and shift, for stage 1, where the domain may be left
-out. Optional are ``mask`` (a PNG, not zero where the target is valid) and ``fx,fy,cx,cy`` (the camera at the size of
-the photo, pixels; the centre of the top left one is at (0, 0)). Other columns are left alone.
+floating point is metres and needs no ``depth_scale``. A PNG that this package wrote says its own scale.
+``disparity`` in place of ``depth`` is inverse depth up to an unknown scale and shift, for stage 1, where the domain may
+be left out. Two more are optional: ``mask`` (a PNG, not zero where the target is valid) and ``fx,fy,cx,cy`` (the camera
+at the size of the photo, pixels; the centre of the top left pixel is at (0, 0)). Other columns are ignored.
 
-JSON Lines (.jsonl) has an object with the same keys in each line; ``rgb`` stands for ``image`` and ``cam_in`` for the
-list [fx, fy, cx, cy]. The text lists of BTS (.txt) have lines ``photo depth focal``. And folders need no list at all,
+JSON Lines (.jsonl) has an object with the same keys in each line; ``rgb`` may stand for ``image``, and ``cam_in`` for
+the list [fx, fy, cx, cy]. The text lists of BTS (.txt) have lines ``photo depth focal``. Folders need no list at all,
 see ``zoedepth.data.folders.find_pairs``.
 
-What is not said of each pair may stand once in ``dataset.json`` beside the list or in the folder:
+Facts that hold for all pairs may stand once in ``dataset.json`` beside the list or in the folder:
 ``{"depth_scale": 1000, "domain": "indoor"}``, also with ``fx`` to ``cy``.
 """
 
@@ -27,28 +27,29 @@ from zoedepth.data.facts import Facts, read_defaults
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
 from zoedepth.data.sample import Sample, Target
-from zoedepth.data.targets import read_mask, read_stored, to_sample
+from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError
 from zoedepth.images import read_image
+from zoedepth.stored import read_mask, read_stored
 
 __all__ = ["Pair", "PairDataset", "find_list"]
 
 
 def find_list(folder: Path, split: str) -> Path | None:
-    """The list of a split in a folder: ``<split>.csv`` or ``<split>.jsonl``."""
+    """Return the list of a split in a folder, ``<split>.csv`` or ``<split>.jsonl``; None where there is neither."""
     return next((path for suffix in ("csv", "jsonl") if (path := folder / f"{split}.{suffix}").is_file()), None)
 
 
 class PairDataset(Dataset[Sample]):
-    """The pairs of a list or a folder, as ``Sample`` at their own size.
+    """The pairs of a list or a folder, each as a ``Sample`` at its own size.
 
     Args:
-        path: a list (.csv, .jsonl, .txt); or a folder with one of the name of the split, or of pairs without a list.
+        path: a list (.csv, .jsonl, .txt), a folder with a list named after the split, or a folder of pairs without one.
         split: name of the list without suffix, or of the folders below those of photos and depth.
-        allow_missing: a photo without depth ("None" in a list) is one without truth, as in KITTI's test list;
-            otherwise an error, for nothing can be learned from it.
+        allow_missing: accept a photo without depth ("None" in a list) as one without truth, as KITTI's test list has
+            them; otherwise it is an error, because nothing can be learned from it.
         depth_scale: the stored value of one metre, for files of which nobody says it.
-        domain: for pairs of which nobody says it.
+        domain: scene type, for pairs of which nobody says it.
 
     Raises:
         InputError: a list is missing or malformed (the line is named), or files are missing.
@@ -75,13 +76,18 @@ class PairDataset(Dataset[Sample]):
             self.path = found or path / f"{split}.csv"
             if not self.path.is_file():
                 columns = "image,depth,depth_scale,domain"
-                raise InputError(f"there is no {self.path}; give a CSV file with the columns {columns}")
+                raise InputError(f"there is no {self.path}: give a CSV file with the columns {columns}")
             self.pairs = read_list(self.path, defaults)
         if not allow_missing and (bare := [pair.image for pair in self.pairs if pair.target is None]):
-            raise InputError(f"{self.path} lists {len(bare)} photos without depth, the first is {bare[0]}")
+            raise InputError(
+                f"{self.path} lists {len(bare)} photos without depth, the first is {bare[0]}. Remove their lines"
+            )
         missing = [path for pair in self.pairs for path in pair.files if not _exists(path)]
         if missing:
-            raise InputError(f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}")
+            raise InputError(
+                f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}. Its paths are "
+                "relative to its own folder"
+            )
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -120,5 +126,5 @@ class PairDataset(Dataset[Sample]):
 def _exists(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # a name that no file can have
+    except (OSError, ValueError):  # a name that no file can have
         return False

@@ -35,7 +35,7 @@ class Sample:
     camera: Intrinsics | None = None
     """The camera of the photo at its present size, where it is known."""
     source: int = 0
-    """Place of its data set among those of a mixture."""
+    """Index of its data set in a mixture."""
 
 
 @runtime_checkable
@@ -63,10 +63,10 @@ class DepthDataset(Samples, Protocol):
 
 @runtime_checkable
 class Ordered(Samples, Protocol):
-    """A data set that is slow to read in any order, and knows a shuffled one that is not."""
+    """A data set that is slow to read in an arbitrary order, and knows shuffled orders that are fast."""
 
     def order(self, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
-        """The numbers of all samples, each once, shuffled."""
+        """Return the numbers of all samples, each once, shuffled."""
         ...
 
 
@@ -77,14 +77,14 @@ class Batch(NamedTuple):
     target: Float[Tensor, "batch 1 height width"]
     mask: Bool[Tensor, "batch 1 height width"]
     domain: Int[Tensor, " batch"]
-    """Index of each sample's domain in the model's config."""
+    """Index of each sample's domain in the config of the model."""
     source: Int[Tensor, " batch"]
-    """Place of each sample's data set in the mixture."""
+    """Index of each sample's data set in the mixture."""
     names: list[str]
     kind: Target
 
     def samples(self, domains: Sequence[str]) -> list[Sample]:
-        """The samples again, as far as a batch knows them; ``domains`` are the names of the model's."""
+        """Take the batch apart into samples, as far as it knows them; ``domains`` are the model's, by name."""
         return [
             Sample(self.pixels[i].cpu(), self.target[i].cpu(), self.mask[i].cpu(), self.kind,
                    domains[int(self.domain[i])] if domains else "", self.names[i])
@@ -96,7 +96,7 @@ def collate(samples: list[Sample], *, domains: tuple[str, ...]) -> Batch:
     """Stack samples of one size.
 
     Args:
-        samples: of the same size and kind.
+        samples: samples of the same size and kind.
         domains: names of the model's domains. A model of a single domain takes every sample.
 
     Raises:
@@ -104,7 +104,10 @@ def collate(samples: list[Sample], *, domains: tuple[str, ...]) -> Batch:
     """
     unknown = {sample.domain for sample in samples} - set(domains) if len(domains) > 1 else set()
     if unknown:
-        raise InputError(f"the data has domains {sorted(unknown)}, the model {list(domains)}; rename one of them")
+        raise InputError(
+            f"the data has domains {sorted(unknown)}, the model has {list(domains)}. Rename a domain of the data, or "
+            "choose another model"
+        )
     return Batch(
         torch.stack([sample.image for sample in samples]),
         torch.stack([sample.target for sample in samples]),

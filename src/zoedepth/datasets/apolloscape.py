@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.images import PICTURE_SUFFIXES
+from zoedepth.stored import read_png
 
 _NOTHING = 65535
 """As in the ground truth that comes with the official evaluation, wherever its masks are empty; 0 there is none."""

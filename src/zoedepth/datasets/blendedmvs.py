@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_pfm
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_pfm
 
 _LISTS = {"train": ("BlendedMVS_training.txt", "training_list.txt"), "val": ("validation_list.txt",)}
 """Lists of scenes; the second is the first's name in older downloads."""

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_npy
 from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.stored import read_npy
 
 
 class DDAD(PublishedDataset):

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.data.readers import read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_png
 
 _SAMPLES = {"train": ("train/HR", "train/LR"), "test": ("test/HR", "test/LR", "HR", "LR")}
 """Where the sample release's photos of a split may lie; the largest is taken. ZoeDepth's folder is test/ itself."""

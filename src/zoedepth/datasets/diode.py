@@ -6,10 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from zoedepth.data.readers import read_npy
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_npy
 
 
 class DIODEIndoor(PublishedDataset):

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_png
-from zoedepth.data.targets import read_mask
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
+from zoedepth.stored import read_mask, read_png
 
 
 class HRWSI(PublishedDataset):

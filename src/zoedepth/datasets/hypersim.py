@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_hdf5
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics, depth_of_distance
+from zoedepth.stored import read_hdf5
 
 _LIST = "metadata_images_split_scene_v1.csv"
 _COLUMNS = ("scene_name", "camera_name", "frame_id", "included_in_public_release", "split_partition_name")

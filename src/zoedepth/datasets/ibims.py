@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_numbers, read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.images import read_image
+from zoedepth.stored import read_numbers, read_png
 
 
 class IBims(PublishedDataset):

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_png
 
 
 class KITTI(PublishedDataset):

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.data.readers import read_hdf5
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.images import PICTURE_SUFFIXES
+from zoedepth.stored import read_hdf5
 
 _FOLDERS = ("phoenix/S6/zl548/MegaDepth_v1", "MegaDepth_v1", ".")
 _PERCENTILES = (1, 98)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.data.readers import read_png, read_png_with_text
-from zoedepth.data.targets import read_mask
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
+from zoedepth.stored import read_mask, read_png, read_png_with_text
 
 _MAX_UNCERTAINTY = 20
 """As stored: 2 pixels, the authors' threshold."""

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.data.readers import read_numbers, read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_numbers, read_png
 
 _LISTS = {"train": "sunrgbd_training_images.txt", "test": "sunrgbd_testing_images.txt"}
 _ORIGIN = "github.com/ankurhanda/sunrgbd-meta-data; it is the split of the toolbox's allsplit.mat"

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.data.readers import read_png
 from zoedepth.datasets.published import About, Frame, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import read_png
 
 _FOLDERS = (("vkitti_2.0.3_rgb", "vkitti_2.0.3_depth"), ("rgb", "depth"), (".", "."))
 """(photos, depth): each archive in a folder of its name, as ZoeDepth wants them, or both in one folder."""

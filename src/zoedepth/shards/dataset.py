@@ -15,14 +15,15 @@ import numpy as np
 from jaxtyping import Int64
 from torch.utils.data import Dataset
 
-from zoedepth.data.facts import Facts, parse_facts, parse_json, read_defaults
+from zoedepth.data.facts import Facts, parse_facts, read_defaults
 from zoedepth.data.sample import Sample, Target
-from zoedepth.data.targets import Memory, read_mask, read_stored, to_sample
+from zoedepth.data.targets import to_sample
 from zoedepth.download import download
 from zoedepth.errors import InputError
 from zoedepth.images import read_image
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
 from zoedepth.shards.members import MAX_JSON, find_roles, unpack
+from zoedepth.stored import Memory, parse_json, read_mask, read_stored
 
 WINDOW = 4
 """Shards among which a shuffled order mixes their samples."""

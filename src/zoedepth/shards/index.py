@@ -11,10 +11,11 @@ from typing import IO, Any, cast
 import numpy as np
 from jaxtyping import Int64
 
-from zoedepth.data.facts import Facts, parse_facts, parse_json
+from zoedepth.data.facts import Facts, parse_facts
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
 from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, split_name
+from zoedepth.stored import parse_json
 
 INDEX_FILE = "index.json"
 

@@ -7,9 +7,9 @@ from io import BytesIO
 from typing import IO, NamedTuple
 
 from zoedepth.data.sample import Target
-from zoedepth.data.targets import DEPTH_SUFFIXES
 from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
+from zoedepth.stored import DEPTH_SUFFIXES
 
 MAX_SAMPLE = 1 << 28
 """Bytes of a sample, at most: 256 MiB."""

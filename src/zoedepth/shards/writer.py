@@ -18,7 +18,6 @@ from torch.utils.data import DataLoader, Dataset
 
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample, Samples, Target
-from zoedepth.data.targets import Memory
 from zoedepth.datasets.published import PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.images import (
@@ -32,6 +31,7 @@ from zoedepth.images import (
 )
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index
 from zoedepth.shards.members import MAX_SAMPLE, pack
+from zoedepth.stored import Memory
 
 SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
 """Units in which depth may turn out to be whole numbers; TUM's is 5000."""
