@@ -1,6 +1,7 @@
-"""Small things that stand on surfaces, shelves and floors. Each stands at the origin of its frame."""
+"""Small things that stand on surfaces, shelves and floors, each at the origin of its frame."""
 
 import math
+from collections.abc import Callable
 
 from zoedepth.synthetic.palette import (
     Random,
@@ -10,6 +11,7 @@ from zoedepth.synthetic.palette import (
     glass,
     leaves,
     metal,
+    mixed,
     pick,
     picture,
     plastic,
@@ -17,11 +19,11 @@ from zoedepth.synthetic.palette import (
     wood,
     writing,
 )  # fmt: skip
-from zoedepth.synthetic.scene import Color, Frame, Material
+from zoedepth.synthetic.scene import Frame, Material
 
 
 def scatter(frame: Frame, rng: Random, width: float, depth: float, count: int) -> None:
-    """Put up to ``count`` things on a surface, apart from each other."""
+    """Put up to ``count`` things on a surface of ``width`` x ``depth`` metres, apart from each other."""
     taken: list[tuple[float, float, float]] = []
     for _ in range(count):
         radius = rng.uniform(0.05, 0.16)
@@ -34,55 +36,75 @@ def scatter(frame: Frame, rng: Random, width: float, depth: float, count: int) -
 
 
 def thing(frame: Frame, rng: Random, radius: float) -> None:
-    """Something that fits a circle."""
-    kind = int(rng.integers(11))
-    r = radius
-    if kind == 0:
-        frame.add("vase", ceramic(rng), (1.1 * r, 1.1 * r, rng.uniform(1.5, 3) * r))
-        if rng.random() < 0.6:
-            frame.add(pick(rng, "leaves0", "fronds", "tuft"), leaves(rng), (2.2 * r, 2.2 * r, 2.5 * r), (0, 0, 1.8 * r))
-    elif kind == 1:
-        frame.add(
-            "bottle",
-            glass(rng) if rng.random() < 0.5 else plastic(rng),
-            (0.6 * r + 0.03, 0.6 * r + 0.03, rng.uniform(0.18, 0.32)),
-        )
-    elif kind == 2:
-        frame.add("bowl", ceramic(rng), (1.8 * r, 1.8 * r, 0.8 * r))
-        for i in range(int(rng.integers(0, 5))):
-            fruit = Material(
-                "stained", any_color(rng, saturation=(0.6, 0.9), value=(0.4, 0.9)), (0.5, 0.4, 0.1), 0.1, 0.15
-            )
-            frame.add(
-                "sphere", fruit, (0.07, 0.07, 0.065), (0.4 * r * math.cos(2 * i), 0.4 * r * math.sin(2 * i), 0.45 * r)
-            )
-    elif kind == 3:
-        frame.add("cup", ceramic(rng), (0.085, 0.085, rng.uniform(0.08, 0.12)))
-        frame.add("plate", ceramic(rng), (0.15, 0.15, 0.015))
-    elif kind == 4:
-        book_pile(frame, rng, int(rng.integers(1, 6)))
-    elif kind == 5:
-        height = rng.uniform(0.6, 2.2) * r
-        frame.add("box", pick(rng, plastic(rng), writing(rng, 0.03), wood(rng)), (1.3 * r, 1.1 * r, height))
-    elif kind == 6:
-        frame.add("sphere", plastic(rng), (r, r, r))
-    elif kind == 7:
-        frame.add("pot", ceramic(rng), (1.1 * r, 1.1 * r, r))
-        frame.add(
-            pick(rng, "leaves1", "spikes", "fronds", "blob1"), leaves(rng), (2.4 * r, 2.4 * r, 2.4 * r), (0, 0, 0.8 * r)
-        )
-    elif kind == 8:
-        frame.add("jar", pick(rng, ceramic(rng), metal(rng), glass(rng)), (1.1 * r, 1.1 * r, rng.uniform(1, 2) * r))
-    elif kind == 9:
-        frame.add("box", plastic(rng), (2 * r, 1.4 * r, 0.012 + 0.05 * r))
-        frame.add("box", writing(rng, 0.012), (1.3 * r, 1.7 * r, 0.004), (0.02, 0.01, 0.012 + 0.05 * r), yaw=0.3)
-    else:
-        frame.add("box", wood(rng), (1.5 * r, 0.02, 1.9 * r), pitch=0, roll=-0.15)
-        frame.add("box", picture(rng), (1.3 * r, 0.01, 1.7 * r), (0, -0.012, 0.1 * r), roll=-0.15)
+    """Put down a small thing that fits a circle of about ``radius`` metres."""
+    put = _THINGS[int(rng.integers(len(_THINGS)))]
+    put(frame, rng, radius)
+
+
+def _vase(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("vase", ceramic(rng), (1.1 * r, 1.1 * r, rng.uniform(1.5, 3) * r))
+    if rng.random() < 0.6:
+        frame.add(pick(rng, "leaves0", "fronds", "tuft"), leaves(rng), (2.2 * r, 2.2 * r, 2.5 * r), (0, 0, 1.8 * r))
+
+
+def _bottle(frame: Frame, rng: Random, r: float) -> None:
+    material = glass(rng) if rng.random() < 0.5 else plastic(rng)
+    frame.add("bottle", material, (0.6 * r + 0.03, 0.6 * r + 0.03, rng.uniform(0.18, 0.32)))
+
+
+def _bowl_of_fruit(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("bowl", ceramic(rng), (1.8 * r, 1.8 * r, 0.8 * r))
+    for i in range(int(rng.integers(0, 5))):
+        color = any_color(rng, saturation=(0.6, 0.9), value=(0.4, 0.9))
+        at = (0.4 * r * math.cos(2 * i), 0.4 * r * math.sin(2 * i), 0.45 * r)
+        frame.add("sphere", Material("stained", color, (0.5, 0.4, 0.1), 0.1, 0.15), (0.07, 0.07, 0.065), at)
+
+
+def _cup(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("cup", ceramic(rng), (0.085, 0.085, rng.uniform(0.08, 0.12)))
+    frame.add("plate", ceramic(rng), (0.15, 0.15, 0.015))
+
+
+def _books(frame: Frame, rng: Random, r: float) -> None:
+    book_pile(frame, rng, int(rng.integers(1, 6)))
+
+
+def _package(frame: Frame, rng: Random, r: float) -> None:
+    height = rng.uniform(0.6, 2.2) * r
+    frame.add("box", pick(rng, plastic(rng), writing(rng, 0.03), wood(rng)), (1.3 * r, 1.1 * r, height))
+
+
+def _ball(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("sphere", plastic(rng), (r, r, r))
+
+
+def _pot_plant(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("pot", ceramic(rng), (1.1 * r, 1.1 * r, r))
+    name = pick(rng, "leaves1", "spikes", "fronds", "blob1")
+    frame.add(name, leaves(rng), (2.4 * r, 2.4 * r, 2.4 * r), (0, 0, 0.8 * r))
+
+
+def _jar(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("jar", pick(rng, ceramic(rng), metal(rng), glass(rng)), (1.1 * r, 1.1 * r, rng.uniform(1, 2) * r))
+
+
+def _tray(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("box", plastic(rng), (2 * r, 1.4 * r, 0.012 + 0.05 * r))
+    frame.add("box", writing(rng, 0.012), (1.3 * r, 1.7 * r, 0.004), (0.02, 0.01, 0.012 + 0.05 * r), yaw=0.3)
+
+
+def _framed_photo(frame: Frame, rng: Random, r: float) -> None:
+    frame.add("box", wood(rng), (1.5 * r, 0.02, 1.9 * r), roll=-0.15)
+    frame.add("box", picture(rng), (1.3 * r, 0.01, 1.7 * r), (0, -0.012, 0.1 * r), roll=-0.15)
+
+
+_THINGS: tuple[Callable[[Frame, Random, float], None], ...] = (
+    _vase, _bottle, _bowl_of_fruit, _cup, _books, _package, _ball, _pot_plant, _jar, _tray, _framed_photo,
+)  # fmt: skip
 
 
 def book_pile(frame: Frame, rng: Random, count: int) -> None:
-    """Lying books."""
+    """Pile up books that lie flat."""
     z = 0.0
     for _ in range(count):
         thick = rng.uniform(0.012, 0.05)
@@ -92,7 +114,7 @@ def book_pile(frame: Frame, rng: Random, count: int) -> None:
 
 
 def book_row(frame: Frame, rng: Random, width: float, height: float, depth: float) -> None:
-    """Standing books from -width/2 rightwards, in front of the frame's origin, which is the shelf's back."""
+    """Stand books in a row from -width/2 to the right; the frame's origin is at the back of the shelf."""
     x, end = -width / 2, -width / 2 + width * rng.uniform(0.5, 1.0)
     series, loose = any_color(rng), rng.random()
     while x < end - 0.06:
@@ -100,7 +122,7 @@ def book_row(frame: Frame, rng: Random, width: float, height: float, depth: floa
         tall, deep = height * rng.uniform(0.6, 0.93), depth * rng.uniform(0.6, 0.85)
         color = any_color(rng, saturation=(0.1, 0.85), value=(0.12, 0.9))
         if loose < 0.3:
-            color = blend(color, series)
+            color = mixed(color, series)
         material = Material(pick(rng, "plain", "text", "slats"), color, scaled(color, pick(rng, 0.4, 1.8)), 0.04)
         lean = rng.uniform(0.08, 0.2) if rng.random() < 0.06 else 0.0
         frame.add(
@@ -109,13 +131,8 @@ def book_row(frame: Frame, rng: Random, width: float, height: float, depth: floa
         x += thick + 0.002 + lean * tall
 
 
-def blend(one: Color, other: Color) -> Color:
-    """Half and half."""
-    return (one[0] + other[0]) / 2, (one[1] + other[1]) / 2, (one[2] + other[2]) / 2
-
-
 def shelf_content(frame: Frame, rng: Random, width: float, height: float, depth: float) -> None:
-    """What stands in one compartment, whose back is at the frame's origin."""
+    """Fill one compartment of a shelf, or leave it empty; the frame's origin is at its back."""
     kind = rng.random()
     if kind < 0.5:
         book_row(frame, rng, width, height, depth)
@@ -131,8 +148,9 @@ def shelf_content(frame: Frame, rng: Random, width: float, height: float, depth:
 
 
 def computer(frame: Frame, rng: Random) -> None:
-    """A screen, a keyboard, perhaps a lamp; the user is at -y."""
-    dark = Material("plain", hsv_grey(rng.uniform(0.03, 0.2)), gloss=0.2)
+    """Set up a screen with keyboard and mouse, or a laptop; the user sits at -y."""
+    grey = rng.uniform(0.03, 0.2)
+    dark = Material("plain", (grey, grey, grey), gloss=0.2)
     on = rng.random() < 0.6
     screen = Material(
         "text" if on else "plain",
@@ -160,13 +178,8 @@ def computer(frame: Frame, rng: Random) -> None:
         frame.add("box", screen, (0.31, 0.004, 0.2), (0, 0.09, 0.018), roll=-0.3)
 
 
-def hsv_grey(value: float) -> tuple[float, float, float]:
-    """Neutral."""
-    return value, value, value
-
-
 def plant(frame: Frame, rng: Random, height: float) -> None:
-    """In a pot on the floor."""
+    """Put a plant of about ``height`` metres on the floor, in a pot."""
     pot = rng.uniform(0.22, 0.4)
     frame.add(pick(rng, "pot", "pot", "vase", "cylinder"), pick(rng, ceramic(rng), wood(rng)), (pot, pot, 0.9 * pot))
     green, top = leaves(rng), height - 0.7 * pot

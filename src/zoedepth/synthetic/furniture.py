@@ -1,17 +1,20 @@
-"""Furniture. Each stands at its frame's origin, the middle of its footprint, with its back towards +y."""
+"""Furniture. Each piece stands at the origin of its frame, in the middle of its footprint, its back towards +y.
+
+Widths, depths and heights are in metres.
+"""
 
 import math
 from dataclasses import dataclass
 
 from zoedepth.synthetic.clutter import computer, scatter, shelf_content, thing
 from zoedepth.synthetic.lamps import table_lamp
-from zoedepth.synthetic.palette import Random, cloth, glass, leather, metal, pick, plastic, scaled, wood
+from zoedepth.synthetic.palette import Random, cloth, glass, leather, metal, pick, plastic, scaled_material, wood
 from zoedepth.synthetic.scene import Frame, Material
 
 
 @dataclass(frozen=True)
 class Style:
-    """What the furniture of one room shares."""
+    """The materials that the furniture of one room shares."""
 
     wood: Material
     second_wood: Material
@@ -19,17 +22,17 @@ class Style:
     second_cloth: Material
     metal: Material
     handles: int
-    """0 none, 1 knobs, 2 bars."""
+    """Handles of doors and drawers: 0 for none, 1 for knobs, 2 for bars."""
 
 
 def room_style(rng: Random) -> Style:
-    """A style drawn at random."""
+    """Draw a style."""
     seat = leather(rng) if rng.random() < 0.25 else cloth(rng)
     return Style(wood(rng), wood(rng), seat, cloth(rng), metal(rng), int(rng.integers(3)))
 
 
 def table(frame: Frame, rng: Random, style: Style, width: float, depth: float, height: float, *, things: int) -> None:
-    """Square, round or on one foot."""
+    """Build a table on four legs, or a round one on one foot, with up to ``things`` small things on it."""
     top = pick(rng, style.wood, style.wood, style.second_wood, glass(rng))
     leg = pick(rng, style.wood, style.metal, style.second_wood)
     thick = rng.uniform(0.02, 0.05)
@@ -59,78 +62,61 @@ def table(frame: Frame, rng: Random, style: Style, width: float, depth: float, h
 
 
 def chair(frame: Frame, rng: Random, style: Style, kind: int) -> None:
-    """Kind 0 wooden, 1 padded, 2 with arms, 3 on castors, 4 a shell; a stool for others."""
+    """Build a chair: kind 0 is wooden, 1 padded, 2 with arms, 3 on castors, 4 a shell, 5 a stool."""
     seat, width = rng.uniform(0.43, 0.48), rng.uniform(0.42, 0.5)
-    frame_material, pad = pick(rng, style.wood, style.metal), pick(rng, style.cloth, style.second_cloth)
+    material, pad = pick(rng, style.wood, style.metal), pick(rng, style.cloth, style.second_cloth)
     if kind == 3:
-        frame.add("cylinder", style.metal, (0.06, 0.06, seat - 0.1), (0, 0, 0.06))
-        for i in range(5):
-            x, y = 0.3 * math.cos(1.257 * i), 0.3 * math.sin(1.257 * i)
-            frame.rod(style.metal, (0, 0, 0.1), (x, y, 0.06), 0.02)
-            frame.add("sphere", Material("plain", (0.05, 0.05, 0.05)), (0.05, 0.05, 0.05), (x, y, 0))
-        frame.add("soft", pad, (0.5, 0.48, 0.09), (0, 0, seat - 0.04))
-        frame.add("soft", pad, (0.46, 0.08, 0.58), (0, 0.24, seat + 0.08), roll=-0.12)
-        for x in (-0.27, 0.27):
-            frame.add("box", style.metal, (0.03, 0.04, 0.22), (x, 0.05, seat))
-            frame.add("soft", style.metal, (0.06, 0.28, 0.035), (x, 0, seat + 0.2))
+        _swivel_chair(frame, style.metal, pad, seat)
         return
-    for x in (-1, 1):
-        frame.rod(
-            frame_material,
-            (x * (width / 2 - 0.02), -width / 2 + 0.03, 0),
-            (x * (width / 2 - 0.03), -width / 2 + 0.04, seat),
-            0.018,
-        )
-        high = seat if kind in (4, 5) else seat + 0.45
-        frame.rod(
-            frame_material,
-            (x * (width / 2 - 0.02), width / 2, 0),
-            (x * (width / 2 - 0.02), width / 2 + (0.08 if high > seat else -0.03), high),
-            0.018,
-        )
+    _chair_legs(frame, material, width, seat, back=0.0 if kind in (4, 5) else 0.45)
     if kind == 5:
-        frame.add("cylinder", pick(rng, frame_material, pad), (width, width, 0.05), (0, 0, seat))
+        frame.add("cylinder", pick(rng, material, pad), (width, width, 0.05), (0, 0, seat))
         return
     if kind == 4:
         frame.add("bowl", plastic(rng), (width + 0.05, width + 0.05, 0.12), (0, 0, seat - 0.02))
-        frame.add(
-            "soft",
-            plastic(rng) if rng.random() < 0.2 else pad,
-            (width, 0.05, 0.42),
-            (0, width / 2 - 0.02, seat + 0.05),
-            roll=-0.15,
-        )
+        shell = plastic(rng) if rng.random() < 0.2 else pad
+        frame.add("soft", shell, (width, 0.05, 0.42), (0, width / 2 - 0.02, seat + 0.05), roll=-0.15)
         return
-    frame.add(
-        "soft" if kind else "box",
-        pad if kind else frame_material,
-        (width, width, 0.07 if kind else 0.03),
-        (0, 0, seat - 0.01),
-    )
     if kind == 0:
+        frame.add("box", material, (width, width, 0.03), (0, 0, seat - 0.01))
         for i in range(int(rng.integers(2, 5))):
-            frame.add(
-                "box",
-                frame_material,
-                (width - 0.04, 0.02, 0.05),
-                (0, width / 2 + 0.05, seat + 0.12 + 0.11 * i),
-                roll=-0.17,
-            )
+            at = (0, width / 2 + 0.05, seat + 0.12 + 0.11 * i)
+            frame.add("box", material, (width - 0.04, 0.02, 0.05), at, roll=-0.17)
     else:
+        frame.add("soft", pad, (width, width, 0.07), (0, 0, seat - 0.01))
         frame.add("soft", pad, (width - 0.02, 0.07, 0.4), (0, width / 2 + 0.03, seat + 0.08), roll=-0.17)
     if kind == 2:
-        for x in (-1, 1):
-            frame.add("soft", frame_material, (0.05, width, 0.04), (x * width / 2, 0, seat + 0.2))
-            frame.rod(
-                frame_material,
-                (x * width / 2, -width / 2 + 0.05, 0),
-                (x * width / 2, -width / 2 + 0.05, seat + 0.21),
-                0.018,
-            )
+        for x in (-width / 2, width / 2):
+            frame.add("soft", material, (0.05, width, 0.04), (x, 0, seat + 0.2))
+            frame.rod(material, (x, -width / 2 + 0.05, 0), (x, -width / 2 + 0.05, seat + 0.21), 0.018)
+
+
+def _chair_legs(frame: Frame, material: Material, width: float, seat: float, *, back: float) -> None:
+    """Put up four legs; the rear ones go on to the back, which rises ``back`` metres above the seat."""
+    for x in (-1, 1):
+        start = (x * (width / 2 - 0.02), -width / 2 + 0.03, 0)
+        frame.rod(material, start, (x * (width / 2 - 0.03), -width / 2 + 0.04, seat), 0.018)
+        start = (x * (width / 2 - 0.02), width / 2, 0)
+        end = (x * (width / 2 - 0.02), width / 2 + (0.08 if back else -0.03), seat + back)
+        frame.rod(material, start, end, 0.018)
+
+
+def _swivel_chair(frame: Frame, material: Material, pad: Material, seat: float) -> None:
+    """Build an office chair on five castors."""
+    frame.add("cylinder", material, (0.06, 0.06, seat - 0.1), (0, 0, 0.06))
+    for i in range(5):
+        x, y = 0.3 * math.cos(1.257 * i), 0.3 * math.sin(1.257 * i)
+        frame.rod(material, (0, 0, 0.1), (x, y, 0.06), 0.02)
+        frame.add("sphere", Material("plain", (0.05, 0.05, 0.05)), (0.05, 0.05, 0.05), (x, y, 0))
+    frame.add("soft", pad, (0.5, 0.48, 0.09), (0, 0, seat - 0.04))
+    frame.add("soft", pad, (0.46, 0.08, 0.58), (0, 0.24, seat + 0.08), roll=-0.12)
+    for x in (-0.27, 0.27):
+        frame.add("box", material, (0.03, 0.04, 0.22), (x, 0.05, seat))
+        frame.add("soft", material, (0.06, 0.28, 0.035), (x, 0, seat + 0.2))
 
 
 def sofa(frame: Frame, rng: Random, style: Style, width: float, depth: float = 0.9) -> None:
-    """For one to four."""
+    """Build a sofa or, if it is narrow, an armchair."""
     low, seat, back, arm = (
         rng.uniform(0.05, 0.15),
         rng.uniform(0.38, 0.46),
@@ -170,19 +156,15 @@ def sofa(frame: Frame, rng: Random, style: Style, width: float, depth: float = 0
 
 
 def bed(frame: Frame, rng: Random, style: Style, width: float, length: float = 2.05) -> None:
-    """The head is at +y."""
+    """Build a bed with its head at +y."""
     low, mattress = rng.uniform(0.15, 0.32), rng.uniform(0.18, 0.28)
     frame.add("box", style.wood, (width, length, 0.12), (0, 0, low - 0.1))
     for x in (-1, 1):
         for y in (-1, 1):
             frame.add("box", style.wood, (0.08, 0.08, low), (x * (width / 2 - 0.06), y * (length / 2 - 0.06), 0))
     head = rng.uniform(0.75, 1.25)
-    frame.add(
-        pick(rng, "box", "soft"),
-        pick(rng, style.wood, style.cloth),
-        (width + 0.06, 0.09, head),
-        (0, length / 2 + 0.03, 0),
-    )
+    shape, material = pick(rng, "box", "soft"), pick(rng, style.wood, style.cloth)
+    frame.add(shape, material, (width + 0.06, 0.09, head), (0, length / 2 + 0.03, 0))
     frame.add("soft", Material("fabric", (0.88, 0.87, 0.84)), (width - 0.04, length - 0.06, mattress), (0, 0, low))
     top = low + mattress
     cover, share = (
@@ -218,13 +200,8 @@ def bed(frame: Frame, rng: Random, style: Style, width: float, length: float = 2
             )
 
 
-def scaled_material(material: Material, factor: float) -> Material:
-    """Darker or brighter."""
-    return material._replace(color=scaled(material.color, factor), second=scaled(material.second, factor))
-
-
 def shelf(frame: Frame, rng: Random, style: Style, width: float, height: float, depth: float = 0.32) -> None:
-    """Open, with books and things."""
+    """Build an open shelf with books and small things."""
     thick, n_rows, n_columns = (
         0.022,
         max(1, round(height / rng.uniform(0.28, 0.42))),
@@ -249,7 +226,7 @@ def shelf(frame: Frame, rng: Random, style: Style, width: float, height: float, 
 def cabinet(
     frame: Frame, rng: Random, style: Style, width: float, height: float, depth: float, *, things: int = 3
 ) -> None:
-    """Doors or drawers in rows; from a night table to a wardrobe."""
+    """Build a cabinet with doors or drawers, from a night table to a wardrobe; ``things`` stand on low ones."""
     material, front = pick(rng, style.wood, style.wood, style.second_wood), pick(rng, style.wood, style.second_wood)
     foot = pick(rng, 0.0, 0.06, 0.15) if height < 1.5 else 0.05
     frame.add("box", material, (width, depth, height - foot), (0, 0, foot))
@@ -268,40 +245,27 @@ def cabinet(
     )
     each, tall = width / n_columns, (height - foot) / n_rows
     mirrored = height > 1.6 and rng.random() < 0.12
+    looking_glass = Material("plain", (0.1, 0.1, 0.1), mirror=0.8)
     for i in range(n_columns):
         for row in range(n_rows):
             x, z = -width / 2 + (i + 0.5) * each, foot + row * tall
             size = (each - 0.008, 0.02, tall - 0.008)
-            frame.add(
-                "box",
-                Material("plain", (0.1, 0.1, 0.1), mirror=0.8) if mirrored else front,
-                size,
-                (x, -depth / 2 - 0.008, z + 0.004),
-            )
+            frame.add("box", looking_glass if mirrored else front, size, (x, -depth / 2 - 0.008, z + 0.004))
             if not drawers and rng.random() < 0.3:
-                frame.add(
-                    "box",
-                    scaled_material(front, 0.9),
-                    (0.7 * each, 0.006, 0.8 * tall),
-                    (x, -depth / 2 - 0.02, z + 0.1 * tall),
-                )
+                size, at = (0.7 * each, 0.006, 0.8 * tall), (x, -depth / 2 - 0.02, z + 0.1 * tall)
+                frame.add("box", scaled_material(front, 0.9), size, at)
             if style.handles:
                 hx = x if drawers else x + (0.5 - i % 2) * (each - 0.12)
                 hz = z + (0.5 if drawers or height > 1.2 else 0.8) * tall
-                size = (
-                    (0.03, 0.03, 0.03)
-                    if style.handles == 1
-                    else (0.14, 0.02, 0.015)
-                    if drawers
-                    else (0.015, 0.02, 0.16)
-                )
-                frame.add("sphere" if style.handles == 1 else "box", style.metal, size, (hx, -depth / 2 - 0.03, hz))
+                bar = (0.14, 0.02, 0.015) if drawers else (0.015, 0.02, 0.16)
+                shape, size = ("sphere", (0.03, 0.03, 0.03)) if style.handles == 1 else ("box", bar)
+                frame.add(shape, style.metal, size, (hx, -depth / 2 - 0.03, hz))
     if height < 1.5:
         scatter(frame.at(0, 0, height), rng, 0.95 * width, 0.9 * depth, things)
 
 
 def desk(frame: Frame, rng: Random, style: Style, width: float, depth: float = 0.7) -> None:
-    """With a computer and a chair before it."""
+    """Build a desk with a computer on it and mostly a chair before it, at -y."""
     height = rng.uniform(0.7, 0.77)
     frame.add("box", style.wood, (width, depth, 0.03), (0, 0, height - 0.03))
     left = rng.random() < 0.6

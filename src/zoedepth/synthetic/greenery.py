@@ -1,4 +1,4 @@
-"""Trees, bushes and hedges."""
+"""Trees, bushes and hedges, each on the ground at the origin of its frame."""
 
 import math
 
@@ -7,7 +7,10 @@ from zoedepth.synthetic.scene import Frame
 
 
 def tree(frame: Frame, rng: Random, height: float, *, bare: bool = False) -> None:
-    """A trunk, limbs, and a crown of lumps and leaves; or a conifer."""
+    """Grow a tree of about ``height`` metres: a conifer, or a trunk and limbs with a crown, or ``bare``.
+
+    The farther it is from the middle of the scene, the fewer parts it has.
+    """
     stem, green = bark(rng), leaves(rng)
     away = math.hypot(frame.x, frame.y)
     if rng.random() < 0.16 and not bare:
@@ -53,7 +56,7 @@ def tree(frame: Frame, rng: Random, height: float, *, bare: bool = False) -> Non
 
 
 def bush(frame: Frame, rng: Random, size: float) -> None:
-    """Round, on the ground."""
+    """Grow a round bush, about ``size`` metres across."""
     green = leaves(rng)
     for i in range(int(rng.integers(1, 4))):
         each, turn = size * rng.uniform(0.6, 1.0), rng.uniform(0, 6)
@@ -63,7 +66,7 @@ def bush(frame: Frame, rng: Random, size: float) -> None:
 
 
 def hedge(frame: Frame, rng: Random, length: float) -> None:
-    """Along x."""
+    """Grow a hedge of ``length`` metres along x."""
     green, height, deep = leaves(rng), rng.uniform(0.7, 1.9), rng.uniform(0.5, 0.9)
     frame.add("soft", green, (length, deep, height))
     for i in range(int(length / 0.9)):

@@ -1,6 +1,6 @@
-"""What is part of a room's shell: walls with their openings, and what hangs on them.
+"""Walls with their windows and doors, and the things that hang on them.
 
-A wall's frame is on the floor at the middle of the wall's inner side; +y is out of the room.
+The frame of a wall is on the floor, in the middle of the wall's inner side; +y is out of the room.
 """
 
 import math
@@ -19,6 +19,7 @@ from zoedepth.synthetic.palette import (
     pick,
     picture,
     plastic,
+    scaled_material,
     wall_paint,
     wood,
     writing,
@@ -26,22 +27,28 @@ from zoedepth.synthetic.palette import (
 from zoedepth.synthetic.scene import Frame, Light, Material
 
 THICK = 0.2
-"""Of walls, metres."""
+"""Thickness of walls, metres."""
 
 
 class Opening(NamedTuple):
-    """A hole in a wall, metres along it from its middle and above the floor."""
+    """A hole in a wall: metres along the wall from its middle, and metres above the floor."""
 
     left: float
     right: float
     bottom: float
     top: float
     kind: str
-    """window, door, or doorway: an open door."""
+    """window, door (shut) or doorway (an open door)."""
 
     @classmethod
     def window(cls, rng: Random, left: float, widest: float, height: float) -> "Opening":
-        """From a hatch to a glass wall."""
+        """Draw a window, from a hatch to a wall of glass.
+
+        Args:
+            left: place of its left side.
+            widest: largest width, metres.
+            height: height of the room, metres.
+        """
         bottom = pick(rng, 0.05, 0.6, 0.85, 0.9, 1.0)
         top = min(bottom + rng.uniform(1.0, 1.6) if bottom > 0.3 else 2.15, height - 0.15)
         return cls(left, left + min(rng.uniform(0.6, 2.2), widest), bottom, top, "window")
@@ -50,7 +57,7 @@ class Opening(NamedTuple):
 def wall_pieces(
     frame: Frame, material: Material, length: float, height: float, openings: list[Opening], skirting: Material | None
 ) -> None:
-    """A wall around its openings, with skirting boards."""
+    """Build a wall around its openings, from left to right, with skirting boards."""
 
     def piece(left: float, right: float, bottom: float, top: float) -> None:
         if right - left > 1e-3 and top - bottom > 1e-3:
@@ -74,7 +81,11 @@ def wall_pieces(
 
 
 def window(frame: Frame, rng: Random, opening: Opening, height: float) -> None:
-    """Frame, panes, sill, and curtains or blinds; it lights the room."""
+    """Build a window with its sill and curtains or blinds, and the light that comes in through it.
+
+    Args:
+        height: height of the room, metres.
+    """
     width, tall = opening.right - opening.left, opening.top - opening.bottom
     middle = (opening.left + opening.right) / 2
     material = WHITE if rng.random() < 0.7 else wood(rng)
@@ -83,50 +94,15 @@ def window(frame: Frame, rng: Random, opening: Opening, height: float) -> None:
     clear = rng.random() < 0.7
     tint = (0.85 + 0.1 * rng.random(), 0.95, 1.0)
     green = hsv(rng.uniform(0.08, 0.4), rng.uniform(0.1, 0.6), rng.uniform(0.3, 0.7))
-    pane = (
-        Material("view", tint, green, glow=bright * 0.7, known=False)
-        if clear
-        else Material("fabric", tint, glow=0.5 * bright)
-    )
-    at.add("box", pane, (width, 0.01, tall), (0, 0.02, 0))
-    for x in (-1, 1):
-        at.add("box", material, (0.06, 0.07, tall), (x * (width / 2 - 0.03), 0, 0))
-    for z in (0, tall - 0.06):
-        at.add("box", material, (width, 0.07, 0.06), (0, 0, z))
-    for i in range(1, max(1, round(width / rng.uniform(0.5, 1.2)))):
-        at.add("box", material, (0.06, 0.06, tall), (width * (i / max(1, round(width / 0.7)) - 0.5), 0, 0))
-    if rng.random() < 0.4:
-        at.add("box", material, (width, 0.05, 0.04), (0, 0, tall * rng.uniform(0.4, 0.75)))
+    view = Material("view", tint, green, glow=bright * 0.7, known=False)
+    frosted = Material("fabric", tint, glow=0.5 * bright)
+    at.add("box", view if clear else frosted, (width, 0.01, tall), (0, 0.02, 0))
+    _window_bars(at, rng, material, width, tall)
     if opening.bottom > 0.3:
         frame.add("box", material, (width + 0.1, 0.26, 0.03), (middle, -0.02, opening.bottom - 0.02))
         if rng.random() < 0.5:
             scatter(frame.at(middle, -0.03, opening.bottom + 0.01), rng, width, 0.24, 3)
-    inside = frame.at(middle, -0.1)
-    dressing, shading = rng.random(), 1.0
-    if dressing < 0.45:
-        rail = min(opening.top + 0.12, height - 0.05)
-        drop = rail - (0.02 if rng.random() < 0.6 or opening.bottom < 0.3 else opening.bottom - 0.15)
-        fabric = cloth(rng)
-        inside.rod(metal(rng), (-width / 2 - 0.35, 0, rail), (width / 2 + 0.35, 0, rail), 0.014)
-        each = rng.uniform(0.25, 0.55) if rng.random() < 0.85 else width / 2
-        for x in (-1, 1):
-            inside.add(
-                pick(rng, "curtain", "curtain", "folds"),
-                fabric,
-                (each, 0.09, drop),
-                (x * (width / 2 + 0.2 - each / 2), 0, rail - drop),
-            )
-        shading = 0.8
-    elif dressing < 0.65:
-        drop = tall * rng.uniform(0.15, 0.95)
-        inside.add(
-            "box",
-            Material("slats", hsv(0.1, 0.1, rng.uniform(0.6, 0.9)), (0.2, 0.2, 0.2), 0.035, glow=0.15 * bright),
-            (width + 0.06, 0.03, drop),
-            (0, 0.06, opening.top - drop),
-        )
-        shading = 1 - 0.8 * drop / tall
-    power = 0.32 * bright * width * tall * shading
+    power = 0.32 * bright * width * tall * _curtains(frame.at(middle, -0.1), rng, opening, height, bright)
     out, side = frame.at(0, 1).world(0, 0, 0), frame.at(1, 0).world(0, 0, 0)
     facing = (frame.x - out[0], frame.y - out[1], 0.0)
     half_u = ((side[0] - frame.x) * width / 2, (side[1] - frame.y) * width / 2, 0.0)
@@ -137,8 +113,43 @@ def window(frame: Frame, rng: Random, opening: Opening, height: float) -> None:
         frame.scene.sunlit.append(light)
 
 
+def _window_bars(frame: Frame, rng: Random, material: Material, width: float, tall: float) -> None:
+    """Put the frame around a pane, and bars across it."""
+    for x in (-1, 1):
+        frame.add("box", material, (0.06, 0.07, tall), (x * (width / 2 - 0.03), 0, 0))
+    for z in (0, tall - 0.06):
+        frame.add("box", material, (width, 0.07, 0.06), (0, 0, z))
+    for i in range(1, max(1, round(width / rng.uniform(0.5, 1.2)))):
+        frame.add("box", material, (0.06, 0.06, tall), (width * (i / max(1, round(width / 0.7)) - 0.5), 0, 0))
+    if rng.random() < 0.4:
+        frame.add("box", material, (width, 0.05, 0.04), (0, 0, tall * rng.uniform(0.4, 0.75)))
+
+
+def _curtains(frame: Frame, rng: Random, opening: Opening, height: float, bright: float) -> float:
+    """Hang curtains or a blind before a window, or nothing; return the share of its light that they let in."""
+    width, tall = opening.right - opening.left, opening.top - opening.bottom
+    kind = rng.random()
+    if kind < 0.45:
+        rail = min(opening.top + 0.12, height - 0.05)
+        drop = rail - (0.02 if rng.random() < 0.6 or opening.bottom < 0.3 else opening.bottom - 0.15)
+        fabric = cloth(rng)
+        frame.rod(metal(rng), (-width / 2 - 0.35, 0, rail), (width / 2 + 0.35, 0, rail), 0.014)
+        each = rng.uniform(0.25, 0.55) if rng.random() < 0.85 else width / 2
+        for x in (-1, 1):
+            at = (x * (width / 2 + 0.2 - each / 2), 0, rail - drop)
+            frame.add(pick(rng, "curtain", "curtain", "folds"), fabric, (each, 0.09, drop), at)
+        return 0.8
+    if kind < 0.65:
+        drop = tall * rng.uniform(0.15, 0.95)
+        color = hsv(0.1, 0.1, rng.uniform(0.6, 0.9))
+        slats = Material("slats", color, (0.2, 0.2, 0.2), 0.035, glow=0.15 * bright)
+        frame.add("box", slats, (width + 0.06, 0.03, drop), (0, 0.06, opening.top - drop))
+        return 1 - 0.8 * drop / tall
+    return 1.0
+
+
 def doorway(frame: Frame, rng: Random, opening: Opening, style: Style, floor: Material) -> None:
-    """A shut door, or an open one with a stretch of the next room."""
+    """Build a shut door, or an open one with a stretch of the next room."""
     width, tall = opening.right - opening.left, opening.top
     middle = (opening.left + opening.right) / 2
     material = WHITE if rng.random() < 0.5 else style.wood
@@ -152,35 +163,38 @@ def doorway(frame: Frame, rng: Random, opening: Opening, style: Style, floor: Ma
     angle = rng.uniform(0.9, 1.9)
     hinge = frame.at(opening.left + 0.01, 0.2, 0, angle)
     _leaf(hinge.at(width / 2, 0), rng, leaf, width - 0.02, tall)
+    _next_room(frame.at(middle, THICK), rng, width, style, floor)
+
+
+def _next_room(frame: Frame, rng: Random, width: float, style: Style, floor: Material) -> None:
+    """Build the stretch of the next room that an open door shows; the frame is in the door, ``width`` metres wide."""
     far, half = rng.uniform(1.3, 4.5), rng.uniform(0.7, 2.0)
     paint = wall_paint(rng)
-    beyond = frame.at(middle, THICK)
     ground = floor if rng.random() < 0.5 else floor_covering(rng)
-    beyond.add("box", ground, (2 * half, far, 0.2), (0, far / 2, -0.2))
-    beyond.add("box", WHITE, (2 * half, far, 0.1), (0, far / 2, 2.5))
-    beyond.add("box", paint, (2 * half, 0.1, 2.5), (0, far, 0))
+    frame.add("box", ground, (2 * half, far, 0.2), (0, far / 2, -0.2))
+    frame.add("box", WHITE, (2 * half, far, 0.1), (0, far / 2, 2.5))
+    frame.add("box", paint, (2 * half, 0.1, 2.5), (0, far, 0))
     for x in (-1, 1):
-        beyond.add("box", paint, (0.1, far, 2.5), (x * half, far / 2, 0))
+        frame.add("box", paint, (0.1, far, 2.5), (x * half, far / 2, 0))
         if half - 0.05 > width / 2:  # the back of the wall is the room's own
-            beyond.add("box", paint, (half - width / 2, 0.02, 2.5), (x * (half + width / 2) / 2, 0.01, 0))
+            frame.add("box", paint, (half - width / 2, 0.02, 2.5), (x * (half + width / 2) / 2, 0.01, 0))
     if rng.random() < 0.7:
-        furniture.cabinet(
-            beyond.at(rng.uniform(-0.2, 0.2) * half, far - 0.28), rng, style, min(0.9, half), rng.uniform(0.7, 1.8), 0.4
-        )
+        place = frame.at(rng.uniform(-0.2, 0.2) * half, far - 0.28)
+        furniture.cabinet(place, rng, style, min(0.9, half), rng.uniform(0.7, 1.8), 0.4)
     if rng.random() < 0.7:
         power = rng.uniform(0.3, 1.5)
-        centre = beyond.world(0, 0.5 * far, 2.4)
+        centre = frame.world(0, 0.5 * far, 2.4)
         frame.scene.lights.append(Light(centre, (power, 0.9 * power, 0.75 * power), (0.1, 0, 0), (0, 0.1, 0)))
 
 
 def _leaf(frame: Frame, rng: Random, material: Material, width: float, height: float) -> None:
-    """A door's leaf with panels and a handle."""
+    """Build the leaf of a door with panels and handles."""
     frame.add("box", material, (width, 0.04, height))
     for side in (-1, 1):
         for i in range(pick(rng, 0, 1, 2, 3)):
             frame.add(
                 "box",
-                furniture.scaled_material(material, 0.92),
+                scaled_material(material, 0.92),
                 (0.62 * width, 0.006, 0.5),
                 (0, side * 0.022, 0.25 + 0.6 * i),
             )
@@ -188,7 +202,7 @@ def _leaf(frame: Frame, rng: Random, material: Material, width: float, height: f
 
 
 def radiator(frame: Frame, rng: Random, opening: Opening) -> None:
-    """Ribbed, below a window."""
+    """Put a ribbed radiator below a window."""
     width, middle = min(opening.right - opening.left, 1.4), (opening.left + opening.right) / 2
     frame.add("box", WHITE, (width, 0.04, opening.bottom - 0.28), (middle, -0.06, 0.14))
     for i in range(round(width / 0.09)):
@@ -200,7 +214,7 @@ def radiator(frame: Frame, rng: Random, opening: Opening) -> None:
 def hang_on_wall(
     frame: Frame, rng: Random, length: float, height: float, openings: list[Opening], style: Style
 ) -> None:
-    """Pictures, mirrors, boards and small shelves where the wall has no opening."""
+    """Hang up pictures, mirrors, small shelves and clocks where the wall has no opening."""
     x = -length / 2 + rng.uniform(0.2, 1.0)
     while x < length / 2 - 0.5:
         wide, tall = rng.uniform(0.2, 1.0), rng.uniform(0.2, 0.8)

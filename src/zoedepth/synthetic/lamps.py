@@ -1,4 +1,4 @@
-"""Lamps, on or off."""
+"""Lamps, on or off. One that is on adds a light to the scene."""
 
 import math
 
@@ -7,7 +7,7 @@ from zoedepth.synthetic.scene import Frame, Light, Material
 
 
 def table_lamp(frame: Frame, rng: Random) -> None:
-    """Its shade glows where it is on."""
+    """Stand a small lamp on a table; its shade glows if it is on."""
     height, shade = rng.uniform(0.3, 0.55), rng.uniform(0.2, 0.36)
     frame.add(
         pick(rng, "vase", "leg", "jar", "cone"),
@@ -19,7 +19,7 @@ def table_lamp(frame: Frame, rng: Random) -> None:
 
 
 def floor_lamp(frame: Frame, rng: Random) -> None:
-    """Taller than a person, or nearly."""
+    """Stand a lamp on the floor, 1.3 to 1.8 m tall up to its shade."""
     height = rng.uniform(1.3, 1.8)
     frame.add("cylinder", metal(rng), (0.28, 0.28, 0.02))
     frame.add("rod", metal(rng), (0.025, 0.025, height), (0, 0, 0.01))
@@ -27,6 +27,7 @@ def floor_lamp(frame: Frame, rng: Random) -> None:
 
 
 def _shade(frame: Frame, rng: Random, width: float, height: float, share_on: float) -> None:
+    """Put a shade on a lamp, which is on with the probability ``share_on``."""
     on = rng.random() < share_on
     color = (1.0, rng.uniform(0.75, 0.95), rng.uniform(0.5, 0.85))
     frame.add(
@@ -42,7 +43,13 @@ def _shade(frame: Frame, rng: Random, width: float, height: float, share_on: flo
 
 
 def ceiling_lamps(frame: Frame, rng: Random, width: float, depth: float, *, forced: bool) -> float:
-    """Hanging from the ceiling, on or off; returns the power of those that are on."""
+    """Hang one lamp, or rows of them, from the ceiling and return their power: 0 if they are off.
+
+    Args:
+        frame: the middle of the ceiling.
+        width, depth: size of the room along x and y, metres.
+        forced: the lamps are on, as there is no other light.
+    """
     on = forced or rng.random() < 0.55
     warm = rng.random()
     color = (1.0, 0.8 + 0.18 * warm, 0.55 + 0.4 * warm)

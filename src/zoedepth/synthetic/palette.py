@@ -12,30 +12,40 @@ T = TypeVar("T")
 
 
 def hsv(hue: float, saturation: float, value: float) -> Color:
-    """All from 0 to 1; the hue goes round."""
+    """Return the sRGB colour of a hue, saturation and value, each from 0 to 1; the hue goes round."""
     return colorsys.hsv_to_rgb(hue % 1.0, min(max(saturation, 0.0), 1.0), min(max(value, 0.0), 1.0))
 
 
 def scaled(color: Color, factor: float) -> Color:
-    """Darker or brighter."""
+    """Make a colour darker or brighter."""
     red, green, blue = color
     return min(1.0, red * factor), min(1.0, green * factor), min(1.0, blue * factor)
 
 
+def mixed(one: Color, other: Color) -> Color:
+    """Mix two colours, half and half."""
+    return (one[0] + other[0]) / 2, (one[1] + other[1]) / 2, (one[2] + other[2]) / 2
+
+
+def scaled_material(material: Material, factor: float) -> Material:
+    """Make both colours of a material darker or brighter."""
+    return material._replace(color=scaled(material.color, factor), second=scaled(material.second, factor))
+
+
 def pick(rng: Random, *choices: T) -> T:
-    """One of them."""
+    """Draw one of the choices."""
     return choices[int(rng.integers(len(choices)))]
 
 
 def any_color(
     rng: Random, *, saturation: tuple[float, float] = (0.1, 0.8), value: tuple[float, float] = (0.15, 0.9)
 ) -> Color:
-    """Of any hue."""
+    """Draw a colour of any hue."""
     return hsv(rng.random(), rng.uniform(*saturation), rng.uniform(*value))
 
 
 def wood(rng: Random) -> Material:
-    """From birch to ebony; sometimes painted."""
+    """Draw a wood, from birch to ebony; sometimes it is painted."""
     if rng.random() < 0.22:
         white = rng.uniform(0.75, 0.95)
         return Material("plain", (white, white, white * rng.uniform(0.9, 1)), gloss=rng.uniform(0.05, 0.3))
@@ -47,7 +57,7 @@ def wood(rng: Random) -> Material:
 
 
 def cloth(rng: Random) -> Material:
-    """Plain or patterned."""
+    """Draw a cloth, plain or patterned."""
     color = any_color(rng, saturation=(0.02, 0.65), value=(0.12, 0.92))
     other = any_color(rng, saturation=(0.0, 0.6), value=(0.2, 0.95))
     kind = rng.random()
@@ -58,7 +68,7 @@ def cloth(rng: Random) -> Material:
 
 
 def leather(rng: Random) -> Material:
-    """Dark, with a sheen."""
+    """Draw a leather: dark, with a sheen."""
     return Material(
         "stained",
         hsv(rng.uniform(0, 0.1), rng.uniform(0.1, 0.7), rng.uniform(0.08, 0.5)),
@@ -69,31 +79,31 @@ def leather(rng: Random) -> Material:
 
 
 def metal(rng: Random) -> Material:
-    """Steel, brass or black."""
+    """Draw a metal: steel, brass or black."""
     color = pick(rng, (0.6, 0.6, 0.62), (0.35, 0.35, 0.37), (0.1, 0.1, 0.1), (0.62, 0.5, 0.25), (0.8, 0.8, 0.82))
     return Material("plain", color, gloss=rng.uniform(0.2, 0.6), mirror=rng.uniform(0.05, 0.3))
 
 
 def plastic(rng: Random) -> Material:
-    """Any colour."""
+    """Draw a plastic of any colour."""
     return Material("plain", any_color(rng, saturation=(0.0, 0.9), value=(0.1, 0.95)), gloss=rng.uniform(0.05, 0.4))
 
 
 def ceramic(rng: Random) -> Material:
-    """Glazed, often white."""
+    """Draw glazed ceramics, often white."""
     color = hsv(rng.random(), rng.uniform(0, 0.15), rng.uniform(0.75, 0.95)) if rng.random() < 0.5 else any_color(rng)
     pattern = pick(rng, "plain", "plain", "stained", "stripes", "dots")
     return Material(pattern, color, any_color(rng), rng.uniform(0.03, 0.12), rng.uniform(0.2, 0.6))
 
 
 def glass(rng: Random) -> Material:
-    """Dark and mirroring: what is behind is not seen."""
+    """Draw a glass: dark and mirroring, so that nothing behind it is seen."""
     value = rng.uniform(0.03, 0.15)
     return Material("plain", (value, value * 1.05, value * 1.1), gloss=0.5, mirror=rng.uniform(0.15, 0.4))
 
 
 def wall_paint(rng: Random) -> Material:
-    """Mostly near white."""
+    """Draw the paint, paper or bricks of a wall, mostly near white."""
     kind = rng.random()
     if kind < 0.6:
         color = hsv(rng.uniform(0.02, 0.2), rng.uniform(0, 0.2), rng.uniform(0.7, 0.95))
@@ -108,7 +118,7 @@ def wall_paint(rng: Random) -> Material:
 
 
 def bricks(rng: Random) -> Material:
-    """Red, yellow or painted."""
+    """Draw bricks: red, yellow or painted."""
     color = pick(
         rng,
         hsv(0.03, 0.6, rng.uniform(0.35, 0.65)),
@@ -120,7 +130,7 @@ def bricks(rng: Random) -> Material:
 
 
 def floor_covering(rng: Random) -> Material:
-    """Planks, tiles, carpet, stone."""
+    """Draw a floor: planks, tiles, carpet or stone."""
     kind = rng.random()
     if kind < 0.5:
         base = hsv(rng.uniform(0.05, 0.1), rng.uniform(0.3, 0.65), rng.uniform(0.3, 0.8))
@@ -147,24 +157,24 @@ def floor_covering(rng: Random) -> Material:
 
 
 def leaves(rng: Random) -> Material:
-    """Mostly green."""
+    """Draw the foliage of a plant, mostly green."""
     hue = rng.uniform(0.19, 0.36) if rng.random() < 0.88 else rng.uniform(0.03, 0.17)
     color = hsv(hue, rng.uniform(0.3, 0.75), rng.uniform(0.25, 0.6))
     return Material("foliage", color, scaled(hsv(hue - 0.04, 0.5, 0.55), rng.uniform(0.7, 1.2)), rng.uniform(0.5, 1.2))
 
 
 def bark(rng: Random) -> Material:
-    """Grey to brown."""
+    """Draw a bark, grey to brown."""
     color = hsv(rng.uniform(0.04, 0.12), rng.uniform(0.1, 0.45), rng.uniform(0.2, 0.5))
     return Material("bark", color, scaled(color, 0.45))
 
 
 def picture(rng: Random) -> Material:
-    """Of an unknown painter."""
+    """Draw a painting."""
     return Material("picture", any_color(rng, value=(0.4, 1)), any_color(rng, value=(0.1, 0.9)))
 
 
 def writing(rng: Random, size: float) -> Material:
-    """Print on paper, or the reverse."""
+    """Draw print on paper, or light print on dark; ``size`` is the height of a line, metres."""
     paper, ink = any_color(rng, saturation=(0, 0.5), value=(0.7, 1)), any_color(rng, value=(0.02, 0.4))
     return Material("text", *((paper, ink) if rng.random() < 0.7 else (ink, paper)), scale=size)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from zoedepth.synthetic import furniture
 from zoedepth.synthetic.clutter import plant
-from zoedepth.synthetic.fittings import fitting, floor_thing, kitchen_units
+from zoedepth.synthetic.fittings import FITTINGS, floor_thing, kitchen_units
 from zoedepth.synthetic.furniture import Style, room_style
 from zoedepth.synthetic.interior import Opening, doorway, hang_on_wall, radiator, wall_pieces, window  # fmt: skip
 from zoedepth.synthetic.lamps import ceiling_lamps, floor_lamp, table_lamp
@@ -232,8 +232,8 @@ def _place(frame: Frame, rng: Random, room: Room, name: str, size: tuple[float, 
         furniture.chair(frame, rng, style, int(rng.integers(6)))
     elif name == "counter":
         kitchen_units(frame, rng, style, size, room.height)
-    elif name in ("bath", "toilet", "sink", "fridge", "boxes", "tv"):
-        fitting(frame, rng, style, name, size)
+    elif name in FITTINGS:
+        FITTINGS[name](frame, rng, style, size)
     else:
         furniture.cabinet(frame, rng, style, wide, high, deep, things=int(rng.integers(0, 7)))
         if name == "night" and rng.random() < 0.6:

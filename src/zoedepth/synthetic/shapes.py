@@ -1,6 +1,6 @@
 """Unit shapes: triangles that fill the cube from -0.5 to 0.5, made once and placed many times.
 
-z is up. A shape's front is at y = -0.5.
+z is up, and the front of a shape is at y = -0.5.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from jaxtyping import Float32, Int
 
 Points = np.ndarray
 FAR = " far"
-"""Ends the name of the coarse version of a shape."""
+"""Ending of the name of a shape's coarse version."""
 
 
 class Shape(NamedTuple):
@@ -21,14 +21,14 @@ class Shape(NamedTuple):
     vertices: Float32[np.ndarray, "vertex 3"]
     triangles: Int[np.ndarray, "triangle 3"]
     normals: Float32[np.ndarray, "triangle 3 3"]
-    """Of each corner, outward; those of curved faces are smooth across edges."""
+    """Unit normals at the corners of each triangle, outward; on curved faces they are smooth across edges."""
     flat: bool
-    """All faces are plane and along the axes of the cube, as a box's."""
+    """True if all faces are plane and along the axes of the cube, as those of a box."""
 
 
 @cache
 def all_shapes() -> dict[str, Shape]:
-    """Name → shape. The same in every process."""
+    """Return all shapes by name. They are equal in every process."""
     rng = np.random.default_rng(20)
     shapes = {
         "box": _box(),
@@ -93,7 +93,6 @@ def all_shapes() -> dict[str, Shape]:
     return shapes
 
 
-# Stations from the tail to the nose: (place along the length, half width, bottom, top), then fitted to the unit cube.
 CARS = {
     "sedan": (
         [(0, 0.8, 0.3, 0.72), (0.04, 0.95, 0.12, 0.9), (0.3, 1, 0, 1), (0.7, 1, 0, 1), (0.93, 0.93, 0.08, 0.8),
@@ -113,12 +112,13 @@ CARS = {
         [(0, 0.95, 0, 0.95), (0.03, 0.9, 0, 1), (0.75, 0.88, 0, 1), (1, 0.95, 0, 0.1)],
     ),
 }  # fmt: skip
+"""Name → outlines of the body and of the cabin: (place along the length, half width, bottom, top) from tail to nose."""
 
 
 def _fitted(
     vertices: Points, faces: Int[np.ndarray, "triangle 3"], *, crease: float = 40.0, flat: bool = False
 ) -> Shape:
-    """Stretched to the unit cube; edges sharper than ``crease`` degrees stay sharp."""
+    """Stretch triangles to the unit cube and add normals; edges sharper than ``crease`` degrees stay sharp."""
     low, high = vertices.min(0), vertices.max(0)
     vertices = (vertices - (low + high) / 2) / np.maximum(high - low, 1e-9)
     corners = vertices[faces]
@@ -144,12 +144,18 @@ def _fitted(
 
 
 def _grid(points: Points, *, crease: float = 40.0) -> Shape:
-    """The sheet through a grid of points (rows, columns, 3)."""
+    """Make the sheet through a grid of points (rows, columns, 3)."""
+    vertices, faces = _grid_faces(points)
+    return _fitted(vertices, faces, crease=crease)
+
+
+def _grid_faces(points: Points) -> tuple[Points, np.ndarray]:
+    """Return the vertices of a grid of points and two triangles for each of its cells."""
     rows, columns = points.shape[:2]
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    return _fitted(points.reshape(-1, 3), faces, crease=crease)
+    return points.reshape(-1, 3), faces
 
 
 def _box() -> Shape:
@@ -160,7 +166,7 @@ def _box() -> Shape:
 
 
 def _lathe(profile: Sequence[tuple[float, float]], *, sides: int = 20) -> Shape:
-    """(radius, height) from the bottom up, turned around z."""
+    """Turn an outline around z; ``profile`` lists its (radius, height) from the bottom up."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     radius, height = np.array(profile, float).T
     points = np.stack(
@@ -170,7 +176,7 @@ def _lathe(profile: Sequence[tuple[float, float]], *, sides: int = 20) -> Shape:
 
 
 def _superellipsoid(exponent: float, rows: int, columns: int) -> Shape:
-    """1 is a sphere, towards 0 a box with round edges."""
+    """Make a sphere (``exponent`` 1) or, towards 0, a box with round edges."""
 
     def power(x: np.ndarray) -> np.ndarray:
         return np.sign(x) * np.abs(x) ** exponent
@@ -185,7 +191,7 @@ def _superellipsoid(exponent: float, rows: int, columns: int) -> Shape:
 
 
 def _torus(thickness: float) -> Shape:
-    """Its axis is y, as a wheel's that rolls along x."""
+    """Make a ring around the y axis, like a wheel that rolls along x."""
     around, tube = np.linspace(0, 2 * np.pi, 21)[:, None], np.linspace(0, 2 * np.pi, 9)
     radius = 1 - thickness + thickness * np.cos(tube)
     points = np.stack([radius * np.cos(around), thickness * np.sin(tube) + 0 * around, radius * np.sin(around)], -1)
@@ -193,7 +199,11 @@ def _torus(thickness: float) -> Shape:
 
 
 def _hull(levels: Sequence[tuple[float, float, float, float, float]], *, rounded: bool = False) -> Shape:
-    """Rectangles (x0, y0, x1, y1) stacked at heights, joined and closed; ``rounded`` makes them ellipses."""
+    """Join rectangles into a closed surface; ``rounded`` makes them ellipses.
+
+    Args:
+        levels: (x0, y0, x1, y1, height) of each rectangle, from the bottom up.
+    """
     rows = []
     for x0, y0, x1, y1, z in levels:
         if rounded:
@@ -207,7 +217,7 @@ def _hull(levels: Sequence[tuple[float, float, float, float, float]], *, rounded
 
 
 def _loft(stations: Sequence[tuple[float, float, float, float]], rounding: float, rows: int, columns: int) -> Shape:
-    """Rounded cross sections along x; see ``CARS``."""
+    """Join rounded cross sections along x; for the stations see ``CARS``."""
     fine = np.linspace(0, 1, rows)
     place, half, bottom, top = np.array(stations, float).T
     half, bottom, top = (np.interp(fine, place, values) for values in (half, bottom, top))
@@ -221,7 +231,7 @@ def _loft(stations: Sequence[tuple[float, float, float, float]], rounding: float
 
 
 def _prism(outline: Sequence[tuple[float, float]]) -> Shape:
-    """A convex outline (x, z), counter-clockwise, extruded along y."""
+    """Extrude a convex outline along y; it lists (x, z) counter-clockwise."""
     front = np.array([(x, -0.5, z) for x, z in outline])
     points, n = np.concatenate([front, front + np.array([0, 1, 0])]), len(outline)
     faces = [(0, i, i + 1) for i in range(1, n - 1)] + [(n, n + i + 1, n + i) for i in range(1, n - 1)]
@@ -239,7 +249,7 @@ def _curtain(*, waves: float = 9, gather: float = 0.0) -> Shape:
 
 
 def _sprinkled(centres: Points, tangents: Points, others: Points) -> Shape:
-    """A leaf at each centre, spanned by two vectors."""
+    """Put a leaf at each centre, spanned by two vectors."""
     quads = np.stack([centres - tangents, centres - others, centres + tangents, centres + others], 1).reshape(-1, 3)
     index = 4 * np.arange(len(centres))[:, None]
     faces = np.concatenate([index + np.array([0, 1, 2]), index + np.array([0, 2, 3])])
@@ -247,7 +257,7 @@ def _sprinkled(centres: Points, tangents: Points, others: Points) -> Shape:
 
 
 def _leaves(rng: np.random.Generator, count: int, *, size: float = 0.125) -> Shape:
-    """Loose leaves in an uneven ball."""
+    """Spread loose leaves over an uneven ball."""
     direction = _directions(rng, count)
     bumps = _directions(rng, 7)
     radius = 0.6 + 0.4 * ((direction @ bumps.T).max(1) ** 3)
@@ -259,7 +269,7 @@ def _leaves(rng: np.random.Generator, count: int, *, size: float = 0.125) -> Sha
 
 
 def _fronds(rng: np.random.Generator, count: int, *, bend: float, width: float = 0.13) -> Shape:
-    """Long leaves from one root."""
+    """Grow long leaves from one root."""
     parts: list[Points] = []
     along = np.linspace(0, 1, 6)
     for i in range(count):
@@ -274,7 +284,7 @@ def _fronds(rng: np.random.Generator, count: int, *, bend: float, width: float =
 
 
 def _conifer(rng: np.random.Generator, count: int = 330) -> Shape:
-    """Drooping twigs around a stem, longer towards the ground."""
+    """Hang drooping twigs around a stem, longer towards the ground."""
     height = 1 - np.sqrt(rng.uniform(0, 1, count))
     turn = rng.uniform(0, 2 * np.pi, count)
     reach = (1 - height) * rng.uniform(0.35, 1.0, count) * (0.75 + 0.25 * np.sin(height * 60))
@@ -285,15 +295,6 @@ def _conifer(rng: np.random.Generator, count: int = 330) -> Shape:
     return _sprinkled(centres, outward * long, across * long * 0.55)
 
 
-def _grid_faces(points: Points) -> tuple[Points, np.ndarray]:
-    rows, columns = points.shape[:2]
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    return points.reshape(-1, 3), np.concatenate(
-        [np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)]
-    )
-
-
 def _joined(parts: Sequence[tuple[Points, np.ndarray]]) -> Shape:
     offsets = np.cumsum([0, *(len(points) for points, _ in parts[:-1])])
     faces = np.concatenate([face + offset for (_, face), offset in zip(parts, offsets, strict=True)])
@@ -301,7 +302,7 @@ def _joined(parts: Sequence[tuple[Points, np.ndarray]]) -> Shape:
 
 
 def _blob(rng: np.random.Generator, amount: float, *, detail: int = 5, rows: int = 10) -> Shape:
-    """A lumpy ball."""
+    """Make a lumpy ball."""
     sphere = _superellipsoid(1.0, rows, int(1.5 * rows))
     ball = sphere.vertices.astype(float) * 2
 

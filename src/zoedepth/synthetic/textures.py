@@ -1,4 +1,4 @@
-"""Patterns: what a surface looks like at a point of it, as functions of many points at once."""
+"""Patterns: functions that give the colour of many points of a surface at once."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,40 +17,48 @@ class Surface:
     """Points on parts that share a pattern."""
 
     u: Column
+    """Metres from the middle of the part along the face."""
     v: Column
-    """Metres from the part's middle, along the face; v is up on upright faces."""
+    """Metres along the other side of the face; up on upright faces."""
     pixel: Column
     """Size of a pixel on the surface, metres: finer detail must be averaged."""
     half_u: Column
+    """Half the size of the face along u, metres."""
     half_v: Column
-    """Half the size of the face, metres."""
+    """Half the size of the face along v, metres."""
     scale: Column
+    """Size of the pattern; see ``Material.scale``."""
     random: Column
-    """A number in [0, 1) of the part."""
+    """A number in [0, 1), the same on the whole part."""
     color: Colors
+    """The material's colour, linear."""
     second: Colors
-    """Linear."""
+    """The material's other colour, linear."""
     mirror: Column
     """Share of mirrored light; a pattern may change it."""
 
     def noise(self, name: str, repeat: float | Column, *, stretch: float = 1.0) -> Column:
-        """Noise that repeats after so many metres, elsewhere on each part; about 0.5."""
+        """Return noise around 0.5 that repeats after ``repeat`` metres and starts elsewhere on each part.
+
+        Args:
+            stretch: how many times longer the noise is along u than along v.
+        """
         shift = self.random * 7.31
         u, v = self.u / (repeat * stretch) + shift, self.v / repeat + 3.7 * shift
         return noise(name)(u, v, self.pixel / repeat)
 
     def mix(self, share: Column) -> Colors:
-        """From the colour (0) to the second (1)."""
+        """Mix the colour (share 0) with the second (share 1)."""
         return self.color + (self.second - self.color) * share[:, None]
 
 
 def pattern_albedo(pattern: str, surface: Surface) -> Colors:
-    """The linear colour of each point, clipped to what surfaces reflect."""
+    """Return the linear colour of each point, clipped to [0.003, 0.95]: no surface reflects less or more."""
     return np.clip(_PATTERNS[pattern](surface), 0.003, 0.95)
 
 
 def fractional(*values: Column) -> Column:
-    """A random number in [0, 1) for each row of whole or fixed numbers."""
+    """Hash each row of up to four numbers into one in [0, 1); equal rows get equal numbers."""
     total = np.zeros(len(values[0]), np.uint32)
     for value, prime in zip(values, (374761393, 668265263, 2147483647, 2654435761), strict=False):
         total += (value * 4096).astype(np.int64).astype(np.uint32) * np.uint32(prime)
@@ -59,7 +67,7 @@ def fractional(*values: Column) -> Column:
 
 
 def _line(x: Column, period: Column | float, width: Column | float, pixel: Column) -> Column:
-    """Share of a pixel covered by lines of a width at the multiples of a period."""
+    """Return the share of each pixel that lines of ``width`` cover; they lie at the multiples of ``period``."""
     distance = np.abs(x - np.round(x / period) * period)
     sharp = np.clip((width / 2 - distance) / pixel + 0.5, 0, 1)
     blur = np.clip(pixel / period * 2 - 0.6, 0, 1)
@@ -67,12 +75,12 @@ def _line(x: Column, period: Column | float, width: Column | float, pixel: Colum
 
 
 def _half(x: Column, period: Column | float, pixel: Column) -> Column:
-    """1 on every other half period, 0 between."""
+    """Return 1 on every other half period and 0 between, blurred to the size of a pixel."""
     return _line(x, period, period / 2, pixel)
 
 
 def _fade(pixel: Column, period: Column | float) -> Column:
-    """1 where detail of this size shows, 0 where a pixel holds several."""
+    """Return 1 where detail of this size shows, 0 where a pixel holds several periods."""
     return np.clip(1.6 - 2 * pixel / period, 0, 1)
 
 
@@ -248,7 +256,7 @@ def _panels(s: Surface) -> Colors:
 
 
 def _facade(s: Surface) -> Colors:
-    """Storeys of ``scale`` metres from the ground up, windows of varied make."""
+    """Paint storeys of ``scale`` metres from the ground up, with windows of varied make."""
     style = [fractional(s.random, s.random * 0 + k) for k in range(5)]
     storey, bay = s.scale, s.scale * (0.55 + 0.6 * style[0])
     bay = 2 * s.half_u / np.maximum(np.round(2 * s.half_u / bay), 1)
@@ -280,7 +288,7 @@ def _facade(s: Surface) -> Colors:
 
 
 def _text(s: Surface) -> Colors:
-    """Lines of strokes that look like writing from a distance."""
+    """Paint lines of strokes that look like writing from a distance."""
     line = s.scale
     row = np.floor(s.v / line)
     letter = np.floor(s.u / (0.6 * line))
@@ -297,7 +305,7 @@ def _text(s: Surface) -> Colors:
 
 
 def _picture(s: Surface) -> Colors:
-    """A painting of no particular subject: sky, land and blots, or blots alone."""
+    """Paint a picture of nothing in particular: sky, land and blots, or blots alone."""
     x, y = s.u / np.maximum(s.half_u, 1e-3), s.v / np.maximum(s.half_v, 1e-3)
     size = np.maximum(s.half_u, s.half_v)
     shift, footprint = s.random * 7.31, s.pixel / size
@@ -311,7 +319,7 @@ def _picture(s: Surface) -> Colors:
 
 
 def _view(s: Surface) -> Colors:
-    """The outdoors, out of focus: bright sky above dim green or houses."""
+    """Paint the outdoors, out of focus: a bright sky above dim green or houses."""
     y = s.v / np.maximum(s.half_v, 1e-3)
     blot, fine = s.noise("cloud", 6.0), s.noise("leaf", 5.0)
     land = np.clip(4 * (0.7 * s.random - 0.35 + 2.2 * (blot - 0.5) - y) + 0.5, 0, 1)

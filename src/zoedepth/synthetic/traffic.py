@@ -1,6 +1,7 @@
-"""What stands and moves in a street. Each stands at its frame's origin; vehicles and people look towards +y."""
+"""Things that stand and move in a street, each at the origin of its frame; vehicles and people look towards +y."""
 
 import math
+from collections.abc import Callable
 
 from zoedepth.synthetic.palette import (
     Random,
@@ -24,7 +25,7 @@ WINDOW = Material("plain", (0.05, 0.055, 0.06), gloss=0.4, mirror=0.3)
 
 
 def car(frame: Frame, rng: Random) -> float:
-    """Any of four makes; returns its length in metres."""
+    """Build a car of one of four makes and return its length in metres."""
     name = pick(rng, "sedan", "hatchback", "hatchback", "suv", "suv", "van")
     length, width, waist, roof = {
         "sedan": (4.6, 1.8, 0.7, 0.55), "hatchback": (4.0, 1.75, 0.72, 0.6),
@@ -82,14 +83,14 @@ def car(frame: Frame, rng: Random) -> float:
 
 
 def _wheel(frame: Frame, radius: float) -> None:
-    """Its axis is y."""
+    """Put up a wheel whose axis is y."""
     frame.add("cylinder", RUBBER, (2 * radius, 2 * radius, 0.22), (0, 0, radius - 0.11), roll=math.pi / 2)
     hub = Material("plain", (0.5, 0.5, 0.52), gloss=0.4)
     frame.add("cylinder", hub, (1.25 * radius, 1.25 * radius, 0.235), (0, 0, radius - 0.1175), roll=math.pi / 2)
 
 
 def truck(frame: Frame, rng: Random) -> float:
-    """A lorry or a bus; returns its length in metres."""
+    """Build a lorry or a bus and return its length in metres."""
     at = frame.at(0, 0, 0, math.pi / 2)
     paint = Material("plain", any_color(rng, saturation=(0, 0.9), value=(0.2, 0.95)), gloss=0.4, mirror=0.04)
     if rng.random() < 0.5:
@@ -119,7 +120,7 @@ def truck(frame: Frame, rng: Random) -> float:
 
 
 def bicycle(frame: Frame, rng: Random) -> None:
-    """Parked."""
+    """Park a bicycle along y."""
     paint = plastic(rng)
     for y in (-0.52, 0.52):
         frame.add("ring", RUBBER, (0.68, 0.04, 0.68), (0, y, 0), yaw=math.pi / 2)
@@ -132,7 +133,7 @@ def bicycle(frame: Frame, rng: Random) -> None:
 
 
 def person(frame: Frame, rng: Random) -> None:
-    """Standing or walking."""
+    """Place a grown-up or a child, standing or walking."""
     height = rng.uniform(1.5, 1.9) if rng.random() < 0.88 else rng.uniform(1.0, 1.4)
     k = height / 1.75
     skin = Material("plain", hsv(rng.uniform(0.03, 0.08), rng.uniform(0.3, 0.6), rng.uniform(0.3, 0.9)))
@@ -161,7 +162,7 @@ def person(frame: Frame, rng: Random) -> None:
 
 
 def fence(frame: Frame, rng: Random, length: float) -> None:
-    """Along x: boards, bars, a wall or rails."""
+    """Put up a fence along x: boards, bars, a wall or rails."""
     kind, height = int(rng.integers(4)), rng.uniform(0.8, 1.7)
     material = pick(rng, wood(rng), STEEL, metal(rng))
     if kind == 0:
@@ -179,7 +180,7 @@ def fence(frame: Frame, rng: Random, length: float) -> None:
 
 
 def street_lamp(frame: Frame, rng: Random, height: float, arm: float) -> None:
-    """Its arm reaches to +x where ``arm`` is positive."""
+    """Put up a lamp of ``height`` metres; its arm reaches ``arm`` metres to +x, or to -x if that is negative."""
     material = pick(rng, STEEL, Material("plain", (0.1, 0.11, 0.1), gloss=0.2))
     frame.rod(material, (0, 0, 0), (0, 0, height), 0.06 if height > 5 else 0.045)
     frame.add("cylinder", material, (0.22, 0.22, 0.7))
@@ -194,7 +195,7 @@ def street_lamp(frame: Frame, rng: Random, height: float, arm: float) -> None:
 
 
 def sign(frame: Frame, rng: Random) -> None:
-    """A traffic sign that is read from -y."""
+    """Put up a traffic sign that is read from -y."""
     height = rng.uniform(2.0, 2.7)
     frame.rod(STEEL, (0, 0, 0), (0, 0, height + 0.3), 0.03)
     red, blue = Material("plain", (0.75, 0.06, 0.06), gloss=0.1), Material("plain", (0.06, 0.2, 0.6), gloss=0.1)
@@ -222,7 +223,7 @@ def sign(frame: Frame, rng: Random) -> None:
 
 
 def traffic_light(frame: Frame, rng: Random) -> None:
-    """Seen from -y."""
+    """Put up a traffic light that is seen from -y."""
     dark = Material("plain", (0.07, 0.08, 0.07))
     frame.rod(STEEL, (0, 0, 0), (0, 0, 3.3), 0.06)
     frame.add("box", dark, (0.3, 0.22, 0.9), (0, -0.1, 2.4))
@@ -237,49 +238,69 @@ def traffic_light(frame: Frame, rng: Random) -> None:
 
 
 def street_thing(frame: Frame, rng: Random) -> None:
-    """Something that stands on pavements."""
-    kind = int(rng.integers(9))
-    if kind == 0:
-        slats, iron = wood(rng), Material("plain", (0.1, 0.1, 0.1))
-        for i in range(4):
-            frame.add("box", slats, (1.6, 0.09, 0.035), (0, -0.2 + 0.12 * i, 0.43))
-        for z in (0.6, 0.74):
-            frame.add("box", slats, (1.6, 0.03, 0.1), (0, 0.26, z), roll=-0.15)
-        for x in (-0.65, 0.65):
-            frame.add("box", iron, (0.05, 0.45, 0.43), (x, 0, 0))
-    elif kind == 1:
-        bin_color = plastic(rng)
-        frame.add("taper", bin_color, (0.58, 0.7, 0.95), (0, 0, 0.08), roll=math.pi)
-        frame.add("box", bin_color._replace(color=scaled(bin_color.color, 0.8)), (0.62, 0.74, 0.08), (0, 0, 1.0))
-    elif kind == 2:
-        frame.add("cylinder", pick(rng, STEEL, plastic(rng)), (0.42, 0.42, 0.85))
-        frame.add("dome", STEEL, (0.45, 0.45, 0.16), (0, 0, 0.85))
-    elif kind == 3:
-        for i in range(int(rng.integers(1, 5))):
-            frame.add(
-                "cylinder",
-                pick(rng, STEEL, Material("stripes", (0.8, 0.1, 0.1), (0.9, 0.9, 0.9), 0.4)),
-                (0.12, 0.12, 0.95),
-                (0, 1.6 * i, 0),
-            )
-    elif kind == 4:
-        frame.add("cylinder", Material("plain", (0.7, 0.1, 0.08)), (0.22, 0.22, 0.6))
-        frame.add("dome", Material("plain", (0.7, 0.1, 0.08)), (0.24, 0.24, 0.14), (0, 0, 0.6))
-    elif kind == 5:
-        cone = Material("stripes", (0.95, 0.35, 0.05), (0.92, 0.92, 0.9), 0.3)
-        frame.add("cone", cone, (0.32, 0.32, 0.7))
-        frame.add("box", RUBBER, (0.4, 0.4, 0.04))
-    elif kind == 6:
-        frame.add("box", pick(rng, STEEL, plastic(rng)), (0.8, 0.4, 1.1))
-        frame.add("box", writing(rng, 0.1), (0.5, 0.42, 0.5), (0, 0, 0.4))
-    elif kind == 7:
-        for i in range(int(rng.integers(1, 4))):
-            bicycle(frame.at(0.6 * i, 0, 0, rng.normal(0, 0.1)), rng)
-    else:
-        shelter, width = glass(rng), rng.uniform(2.5, 4)
-        frame.add("box", STEEL, (width, 1.5, 0.1), (0, 0, 2.35))
-        frame.add("box", shelter, (width, 0.03, 1.9), (0, 0.7, 0.35))
-        frame.add("box", writing(rng, 0.15)._replace(glow=0.3), (0.12, 1.2, 1.8), (width / 2, 0, 0.35))
-        for x in (-1, 1):
-            frame.rod(STEEL, (x * width / 2, 0.7, 0), (x * width / 2, 0.7, 2.35), 0.04)
-        frame.add("box", wood(rng), (width * 0.7, 0.35, 0.05), (0, 0.45, 0.45))
+    """Put down one of the things that stand on pavements; its front is at -y."""
+    put = _THINGS[int(rng.integers(len(_THINGS)))]
+    put(frame, rng)
+
+
+def _bench(frame: Frame, rng: Random) -> None:
+    slats, iron = wood(rng), Material("plain", (0.1, 0.1, 0.1))
+    for i in range(4):
+        frame.add("box", slats, (1.6, 0.09, 0.035), (0, -0.2 + 0.12 * i, 0.43))
+    for z in (0.6, 0.74):
+        frame.add("box", slats, (1.6, 0.03, 0.1), (0, 0.26, z), roll=-0.15)
+    for x in (-0.65, 0.65):
+        frame.add("box", iron, (0.05, 0.45, 0.43), (x, 0, 0))
+
+
+def _wheeled_bin(frame: Frame, rng: Random) -> None:
+    material = plastic(rng)
+    frame.add("taper", material, (0.58, 0.7, 0.95), (0, 0, 0.08), roll=math.pi)
+    frame.add("box", material._replace(color=scaled(material.color, 0.8)), (0.62, 0.74, 0.08), (0, 0, 1.0))
+
+
+def _litter_bin(frame: Frame, rng: Random) -> None:
+    frame.add("cylinder", pick(rng, STEEL, plastic(rng)), (0.42, 0.42, 0.85))
+    frame.add("dome", STEEL, (0.45, 0.45, 0.16), (0, 0, 0.85))
+
+
+def _bollards(frame: Frame, rng: Random) -> None:
+    for i in range(int(rng.integers(1, 5))):
+        material = pick(rng, STEEL, Material("stripes", (0.8, 0.1, 0.1), (0.9, 0.9, 0.9), 0.4))
+        frame.add("cylinder", material, (0.12, 0.12, 0.95), (0, 1.6 * i, 0))
+
+
+def _hydrant(frame: Frame, rng: Random) -> None:
+    red = Material("plain", (0.7, 0.1, 0.08))
+    frame.add("cylinder", red, (0.22, 0.22, 0.6))
+    frame.add("dome", red, (0.24, 0.24, 0.14), (0, 0, 0.6))
+
+
+def _traffic_cone(frame: Frame, rng: Random) -> None:
+    frame.add("cone", Material("stripes", (0.95, 0.35, 0.05), (0.92, 0.92, 0.9), 0.3), (0.32, 0.32, 0.7))
+    frame.add("box", RUBBER, (0.4, 0.4, 0.04))
+
+
+def _letter_box(frame: Frame, rng: Random) -> None:
+    frame.add("box", pick(rng, STEEL, plastic(rng)), (0.8, 0.4, 1.1))
+    frame.add("box", writing(rng, 0.1), (0.5, 0.42, 0.5), (0, 0, 0.4))
+
+
+def _bicycles(frame: Frame, rng: Random) -> None:
+    for i in range(int(rng.integers(1, 4))):
+        bicycle(frame.at(0.6 * i, 0, 0, rng.normal(0, 0.1)), rng)
+
+
+def _bus_shelter(frame: Frame, rng: Random) -> None:
+    panes, width = glass(rng), rng.uniform(2.5, 4)
+    frame.add("box", STEEL, (width, 1.5, 0.1), (0, 0, 2.35))
+    frame.add("box", panes, (width, 0.03, 1.9), (0, 0.7, 0.35))
+    frame.add("box", writing(rng, 0.15)._replace(glow=0.3), (0.12, 1.2, 1.8), (width / 2, 0, 0.35))
+    for x in (-1, 1):
+        frame.rod(STEEL, (x * width / 2, 0.7, 0), (x * width / 2, 0.7, 2.35), 0.04)
+    frame.add("box", wood(rng), (width * 0.7, 0.35, 0.05), (0, 0.45, 0.45))
+
+
+_THINGS: tuple[Callable[[Frame, Random], None], ...] = (
+    _bench, _wheeled_bin, _litter_bin, _bollards, _hydrant, _traffic_cone, _letter_box, _bicycles, _bus_shelter,
+)  # fmt: skip
