@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import Image, features
 
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.images import (
@@ -130,17 +130,99 @@ class TestReadImage:
         with pytest.raises(InputError, match="not an image"):
             read_image(path)
 
-    def test_bomb_is_refused_before_it_is_decoded(self, photo: np.ndarray, tmp_path: Path) -> None:
-        def chunk(kind: bytes, data: bytes) -> bytes:
-            return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-        header = struct.pack(">IIBBBBB", 60_000, 60_000, 8, 2, 0, 0, 0)
-        path = tmp_path / "bomb.png"
-        path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 1000)))
+def chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def png(height: int, width: int, *chunks: bytes) -> bytes:
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+    body = chunk(b"IDAT", zlib.compress(b"\0" * height * (3 * width + 1))) + chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + header + b"".join(chunks) + body
+
+
+def claiming(kind: str, side: int) -> bytes:
+    """A file of a few hundred bytes that says it holds side x side pixels."""
+    buffer = io.BytesIO()
+    options = {"lossless": True} if kind == "WEBP" else {}
+    Image.new("RGB", (16, 16)).save(buffer, kind, **options)
+    data = bytearray(buffer.getvalue())
+
+    def put(place: int, code: str, *values: int) -> None:
+        struct.pack_into(code, data, place, *values)
+
+    if kind == "JPEG":
+        put(data.index(b"\xff\xc0") + 5, ">HH", side, side)
+    elif kind == "GIF":
+        put(6, "<HH", side, side)
+    elif kind in ("BMP", "DIB"):
+        put(18 if kind == "BMP" else 4, "<ii", side, side)
+    elif kind == "TGA":
+        put(12, "<HH", side, side)
+    elif kind == "WEBP":
+        put(21, "<I", (side - 1) | (side - 1) << 14)
+    elif kind == "JPEG2000":
+        put(data.index(b"ihdr") + 4, ">II", side, side)
+        for place in (8, 24):  # of the picture and of its only tile
+            put(data.index(b"\xff\x51") + place - 2, ">II", side, side)
+    elif kind == "AVIF":
+        put(data.index(b"ispe") + 8, ">II", side, side)
+    elif kind == "TIFF":
+        (directory,) = struct.unpack_from("<I", data, 4)
+        for entry in range(directory + 2, directory + 26, 12):  # width and height come first
+            put(entry + 2, "<HII", 4, 1, side)
+    elif kind == "PPM":
+        data = bytearray(b"P6 %d %d 255\n" % (side, side))
+    elif kind == "PNG":
+        data[8:33] = chunk(b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 2, 0, 0, 0))
+    return bytes(data)
+
+
+KINDS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
+
+
+class TestBombs:
+    """Small files that would unpack to gigabytes."""
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_a_small_file_cannot_claim_a_huge_picture(self, kind: str, tmp_path: Path) -> None:
+        if kind == "AVIF" and not features.check("avif"):
+            pytest.skip("this Pillow has no AVIF")
+        (tmp_path / "bomb").write_bytes(claiming(kind, 13_000))
+        with pytest.raises(InputError, match=r"bomb has 13000 x 13000 pixels in [\d,]+ bytes, .*resize it"):
+            read_image(tmp_path / "bomb")
+        with pytest.raises(InputError, match="13000 x 13000"):
+            read_image(io.BytesIO((tmp_path / "bomb").read_bytes()))
+
+    def test_more_pixels_than_are_ever_read(self, tmp_path: Path) -> None:
+        (tmp_path / "bomb.png").write_bytes(claiming("PNG", 60_000))
         with pytest.raises(InputError, match=r"bomb\.png.*resize"):
-            read_image(path)
+            read_image(tmp_path / "bomb.png")
         with pytest.raises(InputError, match="over the limit of 34"):
-            read_image(saved(Image.fromarray(photo), tmp_path / "photo.png"), max_pixels=34)
+            read_image(io.BytesIO(png(5, 7)), max_pixels=34)
+
+    def test_a_large_photo_in_a_large_file_is_read(self, tmp_path: Path) -> None:
+        large = Image.new("L", (4097, 4097), 7)
+        assert (read_image(saved(large, tmp_path / "photo.png", compress_level=0)) == 7).all()
+        with pytest.raises(InputError, match="less compression"):
+            read_image(saved(large, tmp_path / "photo.png"))
+
+    @pytest.mark.parametrize("kind", [b"zTXt", b"iTXt", b"iCCP"])
+    def test_text_and_profiles_of_a_png(self, kind: bytes) -> None:
+        flags = b"\1\0\0\0" if kind == b"iTXt" else b"\0"
+        bomb = chunk(kind, b"name\0" + flags + zlib.compress(b"a" * 50_000_000))
+        with pytest.raises(InputError, match="cannot be read"):
+            read_image(io.BytesIO(png(8, 8, bomb)))
+
+    def test_scans_of_a_jpeg(self) -> None:
+        """Each scan passes over the whole picture, so that 3000 of them take half a minute for 16 megapixels."""
+        buffer = io.BytesIO()
+        Image.new("RGB", (64, 64)).save(buffer, "JPEG", progressive=True)
+        data = buffer.getvalue()
+        assert read_image(buffer).shape == (64, 64, 3)
+        last = data[data.rindex(b"\xff\xda") : -2]
+        with pytest.raises(InputError, match="100 scans"):
+            read_image(io.BytesIO(data[:-2] + 100 * last + b"\xff\xd9"))
 
 
 class TestToImage:

@@ -4,9 +4,10 @@ Everything that enters the package becomes one thing, an ``image``: uint8, (heig
 that leaves it is written whole or not at all.
 """
 
+import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -40,6 +41,10 @@ PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
+# A picture with more pixels must have a byte for every 32 of them: photographs take 2 to 10 bits a pixel, and a quarter
+# of a bit at the least, while a bomb of half a megabyte can unpack to as many pixels as are allowed.
+_FREE_PIXELS, _PIXELS_PER_BYTE = 4096 * 4096, 32
+_MAX_SCANS = 100  # progressive JPEGs have about ten
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
 # EXIF orientation -> what stands the picture upright (EXIF 2.3, tag 0x0112).
@@ -133,23 +138,17 @@ def _name(source: str | Path | BinaryFile) -> str:
 
 
 def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> Image.Image:
-    """Open and decode, with one kind of error for everything that can be wrong with a file."""
+    """Open and decode a picture, with one kind of error for everything that can be wrong with a file."""
     name = _name(source)
     if name.startswith(("http://", "https://")):
         raise InputError(f"{name} is an address, not a file: download it first")
     Image.init()
     try:
-        picture = Image.open(source, formats=[known for known in _FORMATS if known in Image.OPEN])
-        try:
-            if picture.width * picture.height > max_pixels:
-                raise InputError(
-                    f"{name} has {picture.width} x {picture.height} pixels, over the limit of {max_pixels:,}: resize it"
-                )
+        with open(source, "rb") if isinstance(source, str | Path) else nullcontext(source) as file:
+            picture = Image.open(file, formats=[known for known in _FORMATS if known in Image.OPEN])
+            _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
             picture.load()
-        except BaseException:
-            picture.close()
-            raise
     except InputError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -161,6 +160,27 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{name} cannot be read, it may be cut short or damaged: copy it again ({error})") from error
     return picture
+
+
+def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: int) -> None:
+    """Refuse a picture, before it is decoded, that would cost far more memory or time than its file is large."""
+    n_pixels = picture.width * picture.height
+    claim = f"{name} has {picture.width} x {picture.height} pixels"
+    if n_pixels > max_pixels:
+        raise InputError(f"{claim}, over the limit of {max_pixels:,}: resize it")
+    place = file.tell()
+    n_bytes = file.seek(0, os.SEEK_END)
+    if n_pixels > max(_FREE_PIXELS, _PIXELS_PER_BYTE * n_bytes):
+        raise InputError(
+            f"{claim} in {n_bytes:,} bytes, fewer than any photograph needs: "
+            f"resize it to at most {_FREE_PIXELS:,} pixels, or save it with less compression"
+        )
+    if picture.format in ("JPEG", "MPO"):
+        file.seek(0)
+        # Each scan of a JPEG passes over the whole picture, and can be as short as a few bytes.
+        if file.read().count(b"\xff\xda") > _MAX_SCANS:
+            raise InputError(f"{name} has more than {_MAX_SCANS} scans: save it again as an ordinary JPEG")
+    file.seek(place)
 
 
 def check_tiles(picture: Image.Image) -> None:
@@ -179,7 +199,7 @@ def _from_pil(picture: Image.Image, name: str) -> ImageArray:
     try:
         picture.load()  # a PIL image handed in may not be decoded yet
         picture = _upright(picture)
-        if picture.mode != "F" and not picture.mode.startswith("I"):
+        if picture.mode not in ("RGB", "F") and not picture.mode.startswith("I"):
             picture = picture.convert("RGB")
         values = np.asarray(picture)
     except Exception as error:  # see ``_open``
