@@ -1,7 +1,8 @@
-"""Rooms: walls with openings, and furniture along them and in the middle."""
+"""Rooms: walls with windows and doors, and furniture along them and in the middle."""
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from zoedepth.synthetic import furniture
 from zoedepth.synthetic.clutter import plant
@@ -15,23 +16,14 @@ from zoedepth.synthetic.scene import Frame, Material, Scene
 from zoedepth.synthetic.weather import daylight
 
 KINDS = (
-    "living",
-    "living",
-    "bedroom",
-    "bedroom",
-    "kitchen",
-    "office",
-    "office",
-    "dining",
-    "bathroom",
-    "library",
-    "storage",
-)
+    "living", "living", "bedroom", "bedroom", "kitchen", "office", "office", "dining", "bathroom", "library", "storage",
+)  # fmt: skip
+"""Kinds of rooms; those named twice are twice as likely."""
 
 
 @dataclass
 class Room:
-    """A furnished room, its middle at the origin."""
+    """A furnished room: its floor is at z = 0, its middle at the origin. Sizes are in metres."""
 
     scene: Scene
     width: float
@@ -40,10 +32,10 @@ class Room:
     kind: str
     style: Style
     taken: list[tuple[float, float, float, float]] = field(default_factory=list)
-    """What stands on the floor: x0, y0, x1, y1."""
+    """Rectangles of the floor that are in use: x0, y0, x1, y1."""
 
     def free(self, x: float, y: float, half_x: float, half_y: float) -> bool:
-        """Whether a rectangle lies in the room and on nothing."""
+        """Return True if the rectangle around (x, y) lies in the room and on no other."""
         if abs(x) + half_x > self.width / 2 or abs(y) + half_y > self.depth / 2:
             return False
         return all(
@@ -51,11 +43,11 @@ class Room:
         )
 
     def take(self, x: float, y: float, half_x: float, half_y: float) -> None:
-        """Nothing else may stand here."""
+        """Mark the rectangle around (x, y) as in use."""
         self.taken.append((x - half_x, y - half_y, x + half_x, y + half_y))
 
     def draw_pose(self, rng: Random) -> Pose:
-        """A camera where a person could hold it, that looks across the room."""
+        """Draw a camera where a person could hold it, looking across the room."""
         x = y = 0.0
         for _ in range(60):
             x, y = rng.uniform(-0.5, 0.5) * (self.width - 0.5), rng.uniform(-0.5, 0.5) * (self.depth - 0.5)
@@ -75,8 +67,19 @@ class Room:
         )
 
 
+class Wall(NamedTuple):
+    """A wall of a room."""
+
+    frame: Frame
+    """On the floor, in the middle of the wall; +y is out of the room."""
+    length: float
+    """Metres."""
+    openings: list[Opening]
+    """Windows and doors from left to right."""
+
+
 def build_room(rng: Random) -> Room:
-    """A room of a kind, size and style drawn at random."""
+    """Build a room of a kind, size and style drawn from ``rng``."""
     kind = pick(rng, *KINDS)
     longest = {"bathroom": 3.8, "kitchen": 5.5, "storage": 6.0}.get(kind, 9.0)
     width, depth = (2.5 + (longest - 2.5) * rng.beta(1.5, 2.2) for _ in range(2))
@@ -98,8 +101,8 @@ def build_room(rng: Random) -> Room:
     return room
 
 
-def _shell(room: Room, rng: Random) -> list[tuple[Frame, float, list[Opening]]]:
-    """Floor, ceiling and walls; returns each wall's frame at the floor (+y is out), length and openings."""
+def _shell(room: Room, rng: Random) -> list[Wall]:
+    """Build floor, ceiling and walls with their windows and doors."""
     scene, width, depth, height = room.scene, room.width, room.depth, room.height
     paint, floor = wall_paint(rng)._replace(world=True), floor_covering(rng)
     if room.kind == "bathroom" and rng.random() < 0.7:
@@ -108,36 +111,21 @@ def _shell(room: Room, rng: Random) -> list[tuple[Frame, float, list[Opening]]]:
     accent = wall_paint(rng)._replace(world=True) if rng.random() < 0.35 else paint
     ceiling = Material("plaster", hsv(0.1, rng.uniform(0, 0.08), rng.uniform(0.8, 0.95)))
     if rng.random() < 0.12:
-        ceiling = pick(
-            rng,
-            Material("panels", (0.85, 0.85, 0.83), scale=0.6),
-            floor_covering(rng),
-            room.style.wood._replace(pattern="planks"),
-        )
+        panels, planks = Material("panels", (0.85, 0.85, 0.83), scale=0.6), room.style.wood._replace(pattern="planks")
+        ceiling = pick(rng, panels, floor_covering(rng), planks)
     outer = (width + 0.4, depth + 0.4, 0.2)
     scene.at(0, 0).add("box", floor, outer, (0, 0, -0.2))
     scene.at(0, 0).add("box", ceiling, outer, (0, 0, height))
-    walls = []
-    has_door, window_walls = False, set(rng.choice(4, size=int(rng.integers(1, 3)), replace=False).tolist())
+    walls: list[Wall] = []
+    window_walls = set(rng.choice(4, size=int(rng.integers(1, 3)), replace=False).tolist())
     accent_wall = int(rng.integers(4))
     skirting = pick(rng, None, Material("plain", (0.85, 0.84, 0.82)), room.style.wood)
     for side in range(4):
         length, away = (width, depth / 2) if side % 2 == 0 else (depth, width / 2)
         yaw = side * math.pi / 2
         frame = scene.at(-math.sin(yaw) * away, math.cos(yaw) * away, 0, yaw)
-        openings: list[Opening] = []
-        x = -length / 2 + rng.uniform(0.3, 0.9)
-        while x < length / 2 - 1.0:
-            if side in window_walls and rng.random() < 0.8:
-                opening = Opening.window(rng, x, min(length / 2 - 0.2 - x, 2.4), height)
-            elif rng.random() < (0.2 if has_door else 0.6):
-                has_door = True
-                opening = Opening(x, x + rng.uniform(0.78, 1.0), 0.0, 2.05, pick(rng, "door", "door", "doorway"))
-            else:
-                x += rng.uniform(0.5, 2.0)
-                continue
-            openings.append(opening)
-            x = opening.right + rng.uniform(0.3, 1.5)
+        has_door = any(opening.kind != "window" for wall in walls for opening in wall.openings)
+        openings = _openings(rng, length, height, windows=side in window_walls, has_door=has_door)
         wall_pieces(frame, accent if side == accent_wall else paint, length, height, openings, skirting)
         for opening in openings:
             if opening.kind == "window":
@@ -148,8 +136,31 @@ def _shell(room: Room, rng: Random) -> list[tuple[Frame, float, list[Opening]]]:
                 doorway(frame, rng, opening, room.style, floor)
                 near = frame.world((opening.left + opening.right) / 2, -0.45, 0)
                 room.take(near[0], near[1], 0.45, 0.45)
-        walls.append((frame, length, openings))
+        walls.append(Wall(frame, length, openings))
     return walls
+
+
+def _openings(rng: Random, length: float, height: float, *, windows: bool, has_door: bool) -> list[Opening]:
+    """Draw the windows and doors of a wall from left to right.
+
+    Args:
+        windows: the wall may have windows.
+        has_door: the room has a door already, so that another one is less likely.
+    """
+    openings: list[Opening] = []
+    x = -length / 2 + rng.uniform(0.3, 0.9)
+    while x < length / 2 - 1.0:
+        if windows and rng.random() < 0.8:
+            opening = Opening.window(rng, x, min(length / 2 - 0.2 - x, 2.4), height)
+        elif rng.random() < (0.2 if has_door else 0.6):
+            has_door = True
+            opening = Opening(x, x + rng.uniform(0.78, 1.0), 0.0, 2.05, pick(rng, "door", "door", "doorway"))
+        else:
+            x += rng.uniform(0.5, 2.0)
+            continue
+        openings.append(opening)
+        x = opening.right + rng.uniform(0.3, 1.5)
+    return openings
 
 
 _ITEMS: dict[str, tuple[str, ...]] = {
@@ -162,10 +173,11 @@ _ITEMS: dict[str, tuple[str, ...]] = {
     "library": ("shelf", "shelf", "shelf", "desk", "armchair", "lamp"),
     "storage": ("shelf", "boxes", "boxes", "wardrobe", "cabinet", "chair"),
 }
+"""Kind of room → items that stand along its walls; those named twice are twice as likely."""
 
 
-def _along_walls(room: Room, rng: Random, walls: list[tuple[Frame, float, list[Opening]]]) -> None:
-    """From corner to corner, where doors and windows allow."""
+def _along_walls(room: Room, rng: Random, walls: list[Wall]) -> None:
+    """Furnish each wall from corner to corner, where doors and windows allow it, and hang things on it."""
     filling = rng.uniform(0.6, 1.0)
     for side in rng.permutation(4):
         frame, length, openings = walls[int(side)]
@@ -194,7 +206,7 @@ def _along_walls(room: Room, rng: Random, walls: list[tuple[Frame, float, list[O
 
 
 def _footprint(name: str, rng: Random, height: float) -> tuple[float, float, float]:
-    """Width, depth and height of an item that stands against a wall, metres."""
+    """Draw the width, depth and height in metres of an item that stands against a wall."""
     low, high = {
         "sofa": ((1.4, 0.8, 0.8), (2.6, 1.0, 0.95)), "armchair": ((0.8, 0.8, 0.8), (1.0, 0.95, 0.95)),
         "bed": ((0.95, 2.1, 0.9), (1.9, 2.1, 1.2)), "shelf": ((0.5, 0.25, 0.8), (1.9, 0.4, 2.3)),
@@ -212,6 +224,7 @@ def _footprint(name: str, rng: Random, height: float) -> tuple[float, float, flo
 
 
 def _place(frame: Frame, rng: Random, room: Room, name: str, size: tuple[float, float, float]) -> None:
+    """Build the item of this name, one of ``_ITEMS``."""
     wide, deep, high = size
     style = room.style
     if name in ("sofa", "armchair"):
@@ -241,7 +254,7 @@ def _place(frame: Frame, rng: Random, room: Room, name: str, size: tuple[float, 
 
 
 def _middle(room: Room, rng: Random) -> None:
-    """A group in the middle, where there is room."""
+    """Put a rug and a table with chairs or a sofa in the middle, where there is room."""
     x, y = rng.uniform(-0.12, 0.12) * room.width, rng.uniform(-0.12, 0.12) * room.depth
     frame = room.scene.at(x, y, 0, pick(rng, 0, math.pi / 2) + rng.normal(0, 0.04))
     if rng.random() < 0.55 and room.kind not in ("kitchen", "storage", "bathroom"):
@@ -269,22 +282,20 @@ def _middle(room: Room, rng: Random) -> None:
             sofa = frame.world(0, deep / 2 + 0.85, 0)
             room.take(sofa[0], sofa[1], 1.0, 1.0)
         return
+    _chairs(frame, rng, room.style, wide, deep)
+
+
+def _chairs(frame: Frame, rng: Random, style: Style, wide: float, deep: float) -> None:
+    """Put chairs around a table of ``wide`` x ``deep`` metres; all are of one kind."""
     kind = int(rng.integers(6))
     n_long = max(1, int(wide / 0.7))
     for side in (-1, 1):
         for i in range(n_long):
             if rng.random() < 0.85:
-                place = (
-                    ((i + 0.5) / n_long - 0.5) * wide + rng.normal(0, 0.04),
-                    side * (deep / 2 + rng.uniform(0.0, 0.4)),
-                )
-                furniture.chair(
-                    frame.at(*place, 0, (0 if side > 0 else math.pi) + rng.normal(0, 0.25)), rng, room.style, kind
-                )
+                x = ((i + 0.5) / n_long - 0.5) * wide + rng.normal(0, 0.04)
+                y = side * (deep / 2 + rng.uniform(0.0, 0.4))
+                yaw = (0 if side > 0 else math.pi) + rng.normal(0, 0.25)
+                furniture.chair(frame.at(x, y, 0, yaw), rng, style, kind)
         if rng.random() < 0.5:
-            furniture.chair(
-                frame.at(side * (wide / 2 + rng.uniform(0.05, 0.3)), 0, 0, -side * math.pi / 2 + rng.normal(0, 0.2)),
-                rng,
-                room.style,
-                kind,
-            )
+            x, yaw = side * (wide / 2 + rng.uniform(0.05, 0.3)), -side * math.pi / 2 + rng.normal(0, 0.2)
+            furniture.chair(frame.at(x, 0, 0, yaw), rng, style, kind)

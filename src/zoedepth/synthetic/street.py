@@ -1,8 +1,9 @@
-"""Streets: a road that bends and climbs, and what lines it."""
+"""Streets: a road that bends and climbs, with vehicles, buildings, trees and people along it."""
 
 import math
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,40 +12,38 @@ from zoedepth.synthetic.greenery import bush, hedge, tree
 from zoedepth.synthetic.palette import Random, hsv, pick, scaled
 from zoedepth.synthetic.pose import Pose
 from zoedepth.synthetic.scene import Frame, Material, Scene
-from zoedepth.synthetic.traffic import (  # fmt: skip
-    car,
-    fence,
-    person,
-    sign,
-    street_lamp,
-    street_thing,
-    traffic_light,
-    truck,
-)
+from zoedepth.synthetic.traffic import car, fence, person, sign, street_lamp, street_thing, traffic_light, truck
 from zoedepth.synthetic.weather import weather
 
 KINDS = ("city", "city", "town", "suburb", "suburb", "avenue", "country", "industry")
+"""Kinds of streets; those named twice are twice as likely."""
 BEHIND, AHEAD, STEP = -24.0, 200.0, 6.0
-"""The stretch of road that exists, metres from the camera's start, and the length of its pieces."""
+"""Where the road starts and ends, in metres along it from the camera's start, and the length of its pieces."""
 
 
 @dataclass
 class Street:
-    """A road, its camera near the start of it."""
+    """A road and the things along it; the camera stands near place 0 of the road."""
 
     scene: Scene
     path: np.ndarray
-    """x, y, z, heading (radians) every ``STEP`` metres from ``BEHIND`` on."""
+    """Rows of x, y, z (metres) and heading (radians), one every ``STEP`` metres from ``BEHIND`` on."""
     half: float
     """Half the width of the carriageway, metres."""
     pavement: float
     """Width of the pavements, metres."""
     kind: str
     parked: list[tuple[float, float]]
-    """(place along the road, offset to the right) of vehicles."""
+    """(place along the road, offset to the right) of the vehicles, metres."""
 
     def at(self, along: float, right: float, yaw: float = 0.0) -> Frame:
-        """A place beside the road, metres; +y goes with the road."""
+        """Return a place on the road or beside it, on its pavement where it has one; +y goes along the road.
+
+        Args:
+            along: place along the road, metres.
+            right: offset to the right of the road's middle, metres.
+            yaw: turn to the left, radians.
+        """
         place = min(max((along - BEHIND) / STEP, 0), len(self.path) - 1.001)
         i, t = int(place), place % 1.0
         x, y, z, heading = self.path[i] * (1 - t) + self.path[i + 1] * t
@@ -53,7 +52,7 @@ class Street:
         return frame.at(right, 0, raised, yaw)
 
     def draw_pose(self, rng: Random) -> Pose:
-        """From a car, mostly; else from a pavement."""
+        """Draw a camera, mostly in a car, else on a pavement."""
         if rng.random() < 0.7:
             along, right = rng.uniform(-6, 12), self.half * rng.uniform(0.1, 0.6) * pick(rng, 1, 1, -1)
             height, turn = rng.uniform(1.2, 1.85), rng.normal(0, 0.06 if rng.random() < 0.75 else 0.45)
@@ -72,7 +71,7 @@ class Street:
 
 
 def build_street(rng: Random) -> Street:
-    """A street of a kind drawn at random."""
+    """Build a street of a kind, width and shape drawn from ``rng``."""
     kind = pick(rng, *KINDS)
     half = {"city": 5.0, "town": 3.6, "suburb": 3.2, "avenue": 6.0, "country": 3.3, "industry": 4.5}[
         kind
@@ -92,7 +91,7 @@ def build_street(rng: Random) -> Street:
 
 
 def _path(rng: Random) -> np.ndarray:
-    """Gentle bends and slopes."""
+    """Draw a road with gentle bends and slopes; see ``Street.path``."""
     along = np.arange(BEHIND, AHEAD + STEP, STEP)
     bend = rng.normal(0, 0.004) if rng.random() < 0.6 else 0.0
     wave = rng.normal(0, 0.02) if rng.random() < 0.6 else 0.0
@@ -104,16 +103,24 @@ def _path(rng: Random) -> np.ndarray:
     return np.concatenate([place, heading[:, None]], 1)
 
 
-def _ground(street: Street, rng: Random, crossing: float | None) -> None:
-    """Carriageway with its markings, kerbs, pavements and what lies beside."""
+class _Grounds(NamedTuple):
+    """The materials of the ground."""
+
+    asphalt: Material
+    paving: Material
+    beside: Material
+    """Beyond the pavements."""
+    stone: Material
+    """Kerbs."""
+    white: Material
+    """Markings."""
+
+
+def _draw_grounds(street: Street, rng: Random) -> _Grounds:
+    """Draw the materials of the ground."""
     gray = rng.uniform(0.25, 0.5)
-    asphalt = Material(
-        "asphalt",
-        (gray, gray, gray * 1.02),
-        scaled((gray, gray, gray), rng.uniform(0.7, 1.2)),
-        gloss=rng.choice([0.0, 0.0, 0.12]),
-        world=True,
-    )
+    worn = scaled((gray, gray, gray), rng.uniform(0.7, 1.2))
+    asphalt = Material("asphalt", (gray, gray, gray * 1.02), worn, gloss=rng.choice([0.0, 0.0, 0.12]), world=True)
     green = hsv(rng.uniform(0.14, 0.3), rng.uniform(0.3, 0.6), rng.uniform(0.3, 0.55))
     grass = Material("grass", green, hsv(rng.uniform(0.1, 0.25), 0.4, 0.5), world=True)
     paving = pick(
@@ -125,10 +132,13 @@ def _ground(street: Street, rng: Random, crossing: float | None) -> None:
     )
     paving = paving._replace(world=True)
     beside = {"city": paving, "town": pick(rng, paving, grass), "industry": asphalt}.get(street.kind, grass)
-    stone, white = (
-        Material("panels", (0.6, 0.6, 0.58), scale=1.0),
-        Material("stained", (0.85, 0.85, 0.82), (0.6, 0.6, 0.58), 0.3),
-    )
+    stone = Material("panels", (0.6, 0.6, 0.58), scale=1.0)
+    return _Grounds(asphalt, paving, beside, stone, Material("stained", (0.85, 0.85, 0.82), (0.6, 0.6, 0.58), 0.3))
+
+
+def _ground(street: Street, rng: Random, crossing: float | None) -> None:
+    """Lay the carriageway with its markings, the kerbs, the pavements and the ground beside them."""
+    asphalt, paving, beside, stone, white = _draw_grounds(street, rng)
     center = pick(rng, "dashes", "dashes", "line", "none") if street.half > 2.8 else "none"
     edges = rng.random() < 0.4
     half, pavement = street.half, street.pavement
@@ -161,9 +171,8 @@ def _ground(street: Street, rng: Random, crossing: float | None) -> None:
                 _slab(frame, 3.0, roll, white, k + 0.3 - half, k + 0.8 - half, 0.01, 0.02)
     for _ in range(int(rng.integers(0, 5))):
         iron = Material("dots", (0.15, 0.15, 0.15), (0.22, 0.22, 0.22), 0.06)
-        street.at(rng.uniform(4, 30), rng.uniform(-0.7, 0.7) * half).add(
-            "cylinder", iron, (0.65, 0.65, 0.02), (0, 0, -0.01)
-        )
+        place = street.at(rng.uniform(4, 30), rng.uniform(-0.7, 0.7) * half)
+        place.add("cylinder", iron, (0.65, 0.65, 0.02), (0, 0, -0.01))
 
 
 def _slab(
@@ -176,17 +185,17 @@ def _slab(
     top: float,
     thick: float = 0.5,
 ) -> None:
-    """A stretch of ground between two offsets to the right, in either order."""
+    """Lay a stretch of ground between two offsets to the right, in either order."""
     frame.add("box", material, (abs(other - one), length, thick), ((one + other) / 2, 0, top - thick), roll=roll)
 
 
 def _clear(along: float, reach: float, crossing: float | None) -> bool:
-    """Whether a stretch keeps off the crossing."""
+    """Return True if a stretch of ``reach`` metres both ways keeps off the crossing."""
     return crossing is None or abs(along - crossing) > reach + 6.5
 
 
 def _vehicles(street: Street, rng: Random, crossing: float | None) -> None:
-    """Parked at the kerbs and on the move."""
+    """Park cars at the kerbs and send others along the road."""
     dense = rng.uniform(0.0, 0.9) if street.kind != "country" else 0.0
     for side in (-1, 1):
         along = BEHIND + 8
@@ -207,37 +216,25 @@ def _vehicles(street: Street, rng: Random, crossing: float | None) -> None:
 
 
 def _buildings(street: Street, rng: Random, side: int, crossing: float | None) -> None:
-    """In a row, or with gardens between."""
+    """Build up a side of the road, in a row or with gardens between; the country has a house at most."""
     kind = street.kind
     if kind == "country" or (kind == "avenue" and rng.random() < 0.5):
         if rng.random() < 0.5:
-            house(
-                street.at(rng.uniform(30, 90), side * (street.half + rng.uniform(8, 30)), -side * math.pi / 2),
-                rng,
-                11,
-                9,
-            )
+            place = street.at(rng.uniform(30, 90), side * (street.half + rng.uniform(8, 30)), -side * math.pi / 2)
+            house(place, rng, 11, 9)
         return
     along = BEHIND + rng.uniform(0, 8)
     tall = int(rng.integers(2, 9)) if kind == "city" else int(rng.integers(2, 5))
-    back = (
-        street.half
-        + street.pavement
-        + {"city": 0.2, "town": 0.3, "suburb": 5.0, "avenue": 3.0, "industry": 6.0}[kind] * rng.uniform(0.6, 1.6)
-    )
+    garden = {"city": 0.2, "town": 0.3, "suburb": 5.0, "avenue": 3.0, "industry": 6.0}[kind]
+    back = street.half + street.pavement + garden * rng.uniform(0.6, 1.6)
+    widths = {"suburb": (8, 12), "industry": (15, 40)}.get(kind, (7, 22))
     while along < 150:
-        width = (
-            rng.uniform(8, 12)
-            if kind == "suburb"
-            else rng.uniform(15, 40)
-            if kind == "industry"
-            else rng.uniform(7, 22)
-        )
+        width = rng.uniform(*widths)
         gap = rng.uniform(2, 9) if kind in ("suburb", "industry") else rng.choice([0.0, 0.0, rng.uniform(1, 6)])
         middle = along + width / 2
         if _clear(middle, width / 2, crossing):
             frame = street.at(middle, side * (back + rng.uniform(0, 0.6)), -side * math.pi / 2)
-            frame = frame.at(0, 0, -0.3)
+            frame = frame.at(0, 0, -0.3)  # so that no gap shows where the ground slopes
             if kind == "suburb":
                 house(frame, rng, width, rng.uniform(7, 10))
             else:
@@ -247,7 +244,7 @@ def _buildings(street: Street, rng: Random, side: int, crossing: float | None) -
 
 
 def _trees(street: Street, rng: Random, side: int, crossing: float | None) -> None:
-    """In a row along the pavement, in gardens, in woods."""
+    """Plant trees in a row along the pavement, and trees and bushes in gardens or woods."""
     kind = street.kind
     height, bare = rng.uniform(4, 13), rng.random() < 0.1
     if kind == "avenue" or (rng.random() < 0.4 and street.pavement > 1.6):
@@ -270,8 +267,23 @@ def _trees(street: Street, rng: Random, side: int, crossing: float | None) -> No
 
 
 def _pavement(street: Street, rng: Random, side: int, crossing: float | None) -> None:
-    """Lamps, signs, people and things; fences and hedges of gardens; guard rails."""
-    edge, outer = side * (street.half + 0.4), side * (street.half + street.pavement)
+    """Line a side of the road: lamps and signs; people, things and fences on pavements, else perhaps a guard rail."""
+    edge = side * (street.half + 0.4)
+    _lamps(street, rng, side, edge, crossing)
+    if crossing is not None:
+        traffic_light(street.at(crossing - 8.5, edge), rng)
+    for _ in range(int(rng.poisson(1.8))):
+        sign(street.at(rng.uniform(3, 60), edge + side * 0.1, rng.normal(0, 0.1)), rng)
+    if street.pavement:
+        _people_and_things(street, rng, side)
+        if street.kind in ("suburb", "industry"):
+            _boundary(street, rng, side, crossing)
+    elif rng.random() < 0.4:
+        _guard_rail(street, edge + side * 0.3)
+
+
+def _lamps(street: Street, rng: Random, side: int, edge: float, crossing: float | None) -> None:
+    """Put up a row of lamps ``edge`` metres to the right, or of poles with wires."""
     lamp = (pick(rng, 4.0, 7.5, 8.5), pick(rng, 0.0, 1.5))
     step, along = rng.uniform(18, 32), rng.uniform(-10, 15)
     poles = rng.random() < 0.3
@@ -283,41 +295,47 @@ def _pavement(street: Street, rng: Random, side: int, crossing: float | None) ->
                     start, end = street.at(along, edge).world(0, 0, z), street.at(along + step, edge).world(0, 0, z)
                     street.scene.at(0, 0).rod(Material("plain", (0.05, 0.05, 0.05)), start, end, 0.02)
         along += step
-    if crossing is not None:
-        traffic_light(street.at(crossing - 8.5, edge), rng)
-    for _ in range(int(rng.poisson(1.8))):
-        sign(street.at(rng.uniform(3, 60), edge + side * 0.1, rng.normal(0, 0.1)), rng)
-    if not street.pavement:
-        if rng.random() < 0.4:
-            rail, ground = Material("plain", (0.6, 0.61, 0.62), gloss=0.3), street.scene.at(0, 0)
-            for i in range(30):
-                at, then = street.at(-20 + 4 * i, edge + side * 0.3), street.at(-16 + 4 * i, edge + side * 0.3)
-                at.add("box", Material("plain", (0.5, 0.5, 0.5)), (0.1, 0.1, 0.66))
-                for z in (0.45, 0.55):
-                    ground.rod(rail, at.world(0, 0, z), then.world(0, 0, z), 0.06)
-        return
+
+
+def _guard_rail(street: Street, right: float) -> None:
+    """Put up a rail on posts, ``right`` metres to the right of the road's middle."""
+    rail, ground = Material("plain", (0.6, 0.61, 0.62), gloss=0.3), street.scene.at(0, 0)
+    for i in range(30):
+        at, then = street.at(-20 + 4 * i, right), street.at(-16 + 4 * i, right)
+        at.add("box", Material("plain", (0.5, 0.5, 0.5)), (0.1, 0.1, 0.66))
+        for z in (0.45, 0.55):
+            ground.rod(rail, at.world(0, 0, z), then.world(0, 0, z), 0.06)
+
+
+def _people_and_things(street: Street, rng: Random, side: int) -> None:
+    """Populate a pavement; now and then somebody crosses the road."""
     for _ in range(int(rng.poisson({"city": 9, "town": 6, "avenue": 5}.get(street.kind, 2)))):
         along = rng.uniform(2, 25) if rng.random() < 0.5 else rng.uniform(5, 70)
         yaw = pick(rng, 0, math.pi) + rng.normal(0, 0.5)
         person(street.at(along, side * (street.half + rng.uniform(0.2, 1.0) * street.pavement), yaw), rng)
     if rng.random() < 0.25:
         person(street.at(rng.uniform(7, 30), rng.uniform(-1, 1) * street.half, rng.uniform(0, 6)), rng)
+    right = side * (street.half + street.pavement) - side * 0.35
     for _ in range(int(rng.poisson(3.5))):
-        street_thing(street.at(rng.uniform(1, 45), outer - side * 0.35, -side * math.pi / 2), rng)
-    if street.kind in ("suburb", "industry"):
-        along = -12.0
-        boundary = pick(rng, fence, fence, hedge)
-        while along < 90:
-            length = rng.uniform(6, 12)
-            if rng.random() < 0.65 and _clear(along + length / 2, length / 2, crossing):
-                boundary(street.at(along + length / 2, outer + side * 0.6, -side * math.pi / 2), rng, length)
-            elif rng.random() < 0.5:
-                car(street.at(along + length / 2, outer + side * 3.2, math.pi / 2 * pick(rng, -1, 1)), rng)
-            along += length + rng.uniform(0, 0.5) + 2.5 * (rng.random() < 0.3)
+        street_thing(street.at(rng.uniform(1, 45), right, -side * math.pi / 2), rng)
+
+
+def _boundary(street: Street, rng: Random, side: int, crossing: float | None) -> None:
+    """Fence the gardens off, with gaps and parked cars between."""
+    outer = side * (street.half + street.pavement)
+    along = -12.0
+    boundary = pick(rng, fence, fence, hedge)
+    while along < 90:
+        length = rng.uniform(6, 12)
+        if rng.random() < 0.65 and _clear(along + length / 2, length / 2, crossing):
+            boundary(street.at(along + length / 2, outer + side * 0.6, -side * math.pi / 2), rng, length)
+        elif rng.random() < 0.5:
+            car(street.at(along + length / 2, outer + side * 3.2, math.pi / 2 * pick(rng, -1, 1)), rng)
+        along += length + rng.uniform(0, 0.5) + 2.5 * (rng.random() < 0.3)
 
 
 def _distance(street: Street, rng: Random) -> None:
-    """What closes the view: woods, blocks, hills."""
+    """Close the view at the road's end with woods, blocks and hills."""
     kind = rng.random()
     for i in range(int(rng.integers(6, 22))):
         right = rng.normal(0, 60)
