@@ -19,8 +19,7 @@ import tyro
 
 from zoedepth.commands.data import named_paths
 from zoedepth.data.pairs import PairDataset
-from zoedepth.evaluation.evaluate import prepared
-from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.predictions import ModelSource, prepare
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.scoring import aligned_depth, scored_pixels
 from zoedepth.metrics import Sums, mean_metrics, pixel_sums, pooled_metrics
@@ -75,7 +74,7 @@ def _one(index: int) -> dict[str, dict | None]:
     """The sums of one image under every switch."""
     sample = _dataset[index]
     base = protocol_of(sample.domain)
-    shown = prepared(sample, base)
+    shown = prepare(sample, base)
     predictions, found = {}, {}
     for switch, values in SWITCHES.items():
         changes = {name: value[sample.domain != "indoor"] if isinstance(value, tuple) else value

@@ -16,24 +16,45 @@ from tests.folders import write_disparity_pairs, write_pairs
 from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.data.pairs import PairDataset
-from zoedepth.evaluation.evaluate import evaluate
-from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.dataset_scores import score_dataset
+from zoedepth.evaluation.predictions import FolderSource, ModelSource, PredictionSource
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Protocol
-from zoedepth.images import write_depth_png
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.outputs.depth import write_depth_png
 from zoedepth.weights.load import load_model, save_model
 
 METRICS = {f.name for f in fields(Metrics)}
 
 
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder that keeps the file of the model for all tests."""
+    return tmp_path_factory.mktemp("models")
+
+
 @pytest.fixture
-def model(tiny_model: ZoeDepth, tmp_path: Path) -> Path:
+def model(request: pytest.FixtureRequest, models: Path) -> Path:
     """File of a model that takes every photo for an indoor one."""
-    with torch.no_grad():
-        tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([1000.0, 0.0]))
-    save_model(tiny_model, tmp_path / "tiny.safetensors")
-    return tmp_path / "tiny.safetensors"
+    path = models / "tiny.safetensors"
+    if not path.exists():
+        tiny_model: ZoeDepth = request.getfixturevalue("tiny_model")
+        with torch.no_grad():
+            tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([1000.0, 0.0]))
+        save_model(tiny_model, path)
+    return path
+
+
+def write_predictions(folder: Path, path: Path) -> Path:
+    """Depth maps of a list's photos: the truth times 1.1 on the left and 1.3 on the right, 2 m where it is unknown."""
+    folder.mkdir()
+    dataset = PairDataset(path)
+    for index in range(len(dataset)):
+        sample = dataset[index]
+        truth = sample.target[0].numpy()
+        depth = np.where(truth > 0, truth * np.linspace(1.1, 1.3, truth.shape[1], dtype=np.float32), np.float32(2))
+        np.save(folder / f"{Path(sample.name).stem}.npy", depth)
+    return folder
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> list[dict]:
@@ -52,10 +73,10 @@ def error(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return output.err
 
 
-def expected(model: Path, path: Path, protocol: Protocol) -> dict[str, float]:
+def expected(source: PredictionSource, path: Path, protocol: Protocol) -> dict[str, float]:
+    """Means over images under a protocol."""
     dataset = PairDataset(path)
-    protocols = dict.fromkeys(dataset.domains, protocol)
-    scores = evaluate(ModelSource(load_model(model)), dataset, protocols).scores
+    scores = score_dataset(source, dataset, dict.fromkeys(dataset.domains, protocol)).scores
     return asdict(mean_metrics([score.sums.metrics() for score in scores.values() if score.sums is not None]))
 
 
@@ -70,13 +91,13 @@ class TestProtocol:
     def test_follows_from_the_domain(self, model, tmp_path: Path, capsys, domain: str, size, protocol: Protocol):
         path = write_pairs(tmp_path, n=2, size=size, domain=domain, split="test")
         (record,) = run(capsys, "--model", model, "--data", path)
-        assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
+        assert metrics_of(record) == pytest.approx(expected(ModelSource(load_model(model)), path, protocol))
         assert record["protocols"] == {domain: protocol.label}
 
-    def test_domain_of_ones_own_has_no_crop(self, model: Path, tmp_path: Path, capsys):
+    def test_domain_of_ones_own_has_no_crop(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "attic", n=1, split="test")
         path.write_text(path.read_text().replace(",indoor", ",attic"))
-        (record,) = run(capsys, "--model", model, "--data", path)
+        (record,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
         assert record["protocols"] == {"attic": PLAIN.label}
 
     @pytest.mark.parametrize(
@@ -86,45 +107,62 @@ class TestProtocol:
             (("--crop", "garg"), replace(INDOOR, crop="garg")),
             (("--max-depth", "3"), replace(INDOOR, max_depth=3.0)),
             (("--min-depth", "2"), replace(INDOOR, min_depth=2.0)),
-            (("--no-flip",), replace(INDOOR, flip_average=False)),
-            (("--pad",), replace(INDOOR, pad=True)),
-            (("--resize", "squeeze"), replace(INDOOR, resize="squeeze")),
             (("--protocol", "nyu"), PROTOCOLS["nyu"]),
             (("--protocol", "rooms=ibims"), PROTOCOLS["ibims"]),
             (("--protocol", "plain", "rooms=ibims", "--pad"), replace(PROTOCOLS["ibims"], pad=True)),
             (("--protocol", "rooms=ibims", "plain"), PROTOCOLS["ibims"]),
         ],
     )
-    def test_is_chosen_and_overridden(self, model: Path, tmp_path: Path, capsys, arguments, protocol: Protocol):
+    def test_is_chosen_and_overridden(self, tmp_path: Path, capsys, arguments, protocol: Protocol):
         path = write_pairs(tmp_path, n=1, size=(64, 160), split="test")
-        (record,) = run(capsys, "--model", model, "--data", f"rooms={path}", *arguments)
-        assert metrics_of(record) == pytest.approx(expected(model, path, protocol))
+        theirs = write_predictions(tmp_path / "theirs", path)
+        (record,) = run(capsys, "--predictions", theirs, "--data", f"rooms={path}", *arguments)
+        assert metrics_of(record) == pytest.approx(expected(FolderSource(theirs), path, protocol))
         assert record["protocols"] == {"indoor": protocol.label}
         assert protocol.label != INDOOR.label
 
-    def test_pooled_mean(self, model: Path, tmp_path: Path, capsys):
+    @pytest.mark.parametrize(
+        ("arguments", "protocol"),
+        [
+            (("--no-flip",), replace(INDOOR, flip_average=False)),
+            (("--pad",), replace(INDOOR, pad=True)),
+            (("--resize", "squeeze"), replace(INDOOR, resize="squeeze")),
+        ],
+    )
+    def test_model_is_run_as_it_says(self, model: Path, tmp_path: Path, capsys, arguments, protocol: Protocol):
+        path = write_pairs(tmp_path, n=1, size=(64, 160), split="test")
+        (record,) = run(capsys, "--model", model, "--data", path, *arguments)
+        source = ModelSource(load_model(model))
+        assert metrics_of(record) == pytest.approx(expected(source, path, protocol))
+        assert metrics_of(record) != pytest.approx(expected(source, path, INDOOR))
+        assert record["protocols"] == {"indoor": protocol.label}
+
+    def test_pooled_mean(self, tmp_path: Path, capsys):
         """Both photos have equally many known pixels: only what is no mean of means differs."""
         path = write_pairs(tmp_path, n=2, split="test")
-        (images,) = run(capsys, "--model", model, "--data", path)
-        (pixels,) = run(capsys, "--model", model, "--data", path, "--mean", "pixels")
+        theirs = write_predictions(tmp_path / "theirs", path)
+        (images,) = run(capsys, "--predictions", theirs, "--data", path)
+        (pixels,) = run(capsys, "--predictions", theirs, "--data", path, "--mean", "pixels")
         assert pixels["rel"] == pytest.approx(images["rel"])
         assert pixels["rmse"] > images["rmse"]
 
-    def test_aligned_numbers_say_so(self, model: Path, tmp_path: Path, capsys):
+    def test_aligned_numbers_say_so(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=2, split="test")
-        (record,) = run(capsys, "--model", model, "--data", path, "--align", "median")
+        theirs = str(write_predictions(tmp_path / "theirs", path))
+        (record,) = run(capsys, "--predictions", theirs, "--data", path, "--align", "median")
         assert record["alignment"] == "median"
-        assert main(["evaluate", "--model", str(model), "--data", str(path), "--align", "median"]) == 0
+        assert main(["evaluate", "--predictions", theirs, "--data", str(path), "--align", "median"]) == 0
         assert "median-aligned" in capsys.readouterr().out.replace("\n", "")
 
-    def test_unknown_names_are_errors(self, model: Path, tmp_path: Path, capsys):
+    def test_unknown_names_are_errors(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=1, split="test")
-        assert "'nuy'" in error(capsys, "--model", model, "--data", path, "--protocol", "nuy")
-        assert "attic" in error(capsys, "--model", model, "--data", path, "--protocol", "attic=nyu")
+        assert "'nuy'" in error(capsys, "--data", path, "--protocol", "nuy")
+        assert "attic" in error(capsys, "--data", path, "--protocol", "attic=nyu")
 
-    def test_of_a_data_set_is_its_own(self, model: Path, tmp_path: Path, capsys):
+    def test_of_a_data_set_is_its_own(self, tmp_path: Path, capsys):
         paths = [write_pairs(tmp_path / name, n=1, split="test") for name in ("a", "b", "c")]
-        records = run(capsys, "--model", model, "--data", *paths, "--protocol", "b=nyu", "plain")
+        theirs = write_predictions(tmp_path / "theirs", paths[0])  # photos of the same names
+        records = run(capsys, "--predictions", theirs, "--data", *paths, "--protocol", "b=nyu", "plain")
         labels = [PLAIN.label, PROTOCOLS["nyu"].label, PLAIN.label]
         assert [record["protocols"]["indoor"] for record in records] == labels
 
@@ -217,25 +255,28 @@ class TestOutput:
         assert (record["images"], record["without_truth"]) == (2, 1)
         assert all(isinstance(record[name], float) for name in METRICS)
 
-    def test_line_without_truth_is_counted(self, model: Path, tmp_path: Path, capsys):
-        """As KITTI's test list has 45 of them."""
+    def test_line_without_truth_is_counted(self, tmp_path: Path, capsys):
+        """KITTI's test list has 45 of them."""
         path = write_pairs(tmp_path, n=2, split="test")
+        theirs = write_predictions(tmp_path / "theirs", path)
         lines = path.read_text().splitlines()
         path.write_text("\n".join([*lines, lines[1].replace("depth/test_000.png", "None")]) + "\n")
-        (record,) = run(capsys, "--model", model, "--data", path)
+        (record,) = run(capsys, "--predictions", theirs, "--data", path)
         assert (record["images"], record["without_truth"]) == (2, 1)
 
-    def test_several_data_sets_are_an_object_each_with_their_names(self, model: Path, tmp_path: Path, capsys):
+    def test_several_data_sets_are_an_object_each_with_their_names(self, tmp_path: Path, capsys):
         rooms = write_pairs(tmp_path / "rooms", n=1, split="test")
-        write_pairs(tmp_path / "streets", n=2, domain="outdoor", split="test")
-        records = run(capsys, "--model", model, "--data", rooms, f"cars={tmp_path / 'streets'}")
+        streets = write_pairs(tmp_path / "streets", n=2, size=(360, 1220), domain="outdoor", split="test")
+        theirs = write_predictions(tmp_path / "theirs", streets)  # those of the room have another size
+        records = run(capsys, "--predictions", theirs, "--data", rooms, f"cars={tmp_path / 'streets'}")
         assert [(record["data"], record["images"]) for record in records] == [("rooms", 1), ("cars", 2)]
 
     def test_table_has_the_numbers_for_people(self, model: Path, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
         assert main(["evaluate", "--model", f"tiny={model}", "--data", str(path)]) == 0
         output = capsys.readouterr().out
-        for word in ("REL", "RMSE", "rooms", INDOOR.label, f"{expected(model, path, INDOOR)['rel']:.3f}", "100.0 %"):
+        rel = expected(ModelSource(load_model(model)), path, INDOOR)["rel"]
+        for word in ("REL", "RMSE", "rooms", INDOOR.label, f"{rel:.3f}", "100.0 %"):
             assert word in output
 
     def test_report_has_tables_pictures_and_the_command(self, model: Path, tmp_path: Path, capsys):
@@ -249,7 +290,8 @@ class TestOutput:
         assert INDOOR.label in report
         assert INDOOR.hash in (out / "report.tex").read_text()
         (result,) = json.loads((out / "report.json").read_text())["results"]
-        assert result["metrics"]["rel"] == pytest.approx(expected(model, path, INDOOR)["rel"], rel=1e-12)
+        rel = expected(ModelSource(load_model(model)), path, INDOOR)["rel"]
+        assert result["metrics"]["rel"] == pytest.approx(rel)
         assert len((out / "tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()) == 4
 
     def test_the_same_command_goes_on_and_another_protocol_is_refused(self, model: Path, tmp_path: Path, capsys):
@@ -287,25 +329,28 @@ class TestOutput:
         run(capsys, *options, "--no-pictures")
         assert (tmp_path / "out/report.md").is_file()
 
-    def test_names_are_printed_as_they_are(self, model: Path, tmp_path: Path, capsys):
+    def test_names_are_printed_as_they_are(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
-        assert main(["evaluate", "--model", f"[bold]={model}", "--data", f"[/red]={path}"]) == 0
+        theirs = write_predictions(tmp_path / "theirs", path)
+        assert main(["evaluate", "--predictions", f"[bold]={theirs}", "--data", f"[/red]={path}"]) == 0
         output = capsys.readouterr().out
         assert "[bold]" in output
         assert "[/red]: protocol" in output
 
-    def test_the_papers_numbers_beside_ours(self, model: Path, tmp_path: Path, capsys):
+    def test_the_papers_numbers_beside_ours(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
-        assert main(["evaluate", "--model", f"tiny={model}", "--data", f"nyu={path}", "--with-paper"]) == 0
+        theirs = write_predictions(tmp_path / "theirs", path)
+        assert main(["evaluate", "--predictions", f"theirs={theirs}", "--data", f"nyu={path}", "--with-paper"]) == 0
         output = capsys.readouterr().out
         assert "ZoeD-M12-N (paper)" in output
         assert "0.270" in output
 
-    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, model: Path, tmp_path: Path):
+    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path):
         """Failures of the second process, too."""
         path = write_pairs(tmp_path / "rooms", n=5, split="test")
-        (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
-        arguments = ["evaluate", "--model", f"tiny={model}", "--data", str(path), "--no-pictures", "--out"]
+        theirs = write_predictions(tmp_path / "theirs", path)
+        (theirs / "test_001.npy").unlink()
+        arguments = ["evaluate", "--predictions", str(theirs), "--data", str(path), "--no-pictures", "--out"]
         assert main([*arguments, str(tmp_path / "one")]) == 1
         torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
         done = subprocess.run(
@@ -317,8 +362,8 @@ class TestOutput:
         one, two = (json.loads((tmp_path / name / "report.json").read_text())["results"] for name in ("one", "two"))
         assert one == two
         assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)
-        counts = [len(file.read_text().splitlines()) for file in sorted((tmp_path / "two/tiny/rooms").glob("*.jsonl"))]
-        assert counts == [1 + 3, 1 + 1]
+        files = sorted((tmp_path / "two/theirs/rooms").glob("*.jsonl"))
+        assert [len(file.read_text().splitlines()) for file in files] == [1 + 3, 1 + 1]
 
     def test_second_process_leaves_it_to_the_first_to_say_how_it_went(self, model, tmp_path: Path, capsys, monkeypatch):
         """torchrun ends all processes when one fails, and the first has yet to write the report."""

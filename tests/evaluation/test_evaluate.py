@@ -1,337 +1,167 @@
-"""The run over a data set: what is written, what an interrupted run goes on with, and many processes as one."""
+"""Every source on every data set: from Python, with a folder to go on in, and in several processes."""
 
-import dataclasses
 import json
-import random
-from collections.abc import Sequence
+import sys
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
+from PIL import Image
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
 
-from zoedepth.data.augment import kitti_crop
 from zoedepth.data.sample import Sample
-from zoedepth.errors import InputError
-from zoedepth.evaluation.evaluate import Processes, evaluate, predict, prepared, read_scores
-from zoedepth.evaluation.predictions import ModelSource, Prediction
-from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
-from zoedepth.evaluation.scoring import Score, score
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.evaluation.dataset_scores import Processes, score_dataset
+from zoedepth.evaluation.evaluate import evaluate, folder_name
+from zoedepth.evaluation.evaluation_set import EvaluationSet
 from zoedepth.evaluation.summary import summarise
-from zoedepth.model.zoedepth import ZoeDepth
 
-PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": PLAIN}
-FACTORS = {f"{i}.jpg": 1 + 0.11 * i for i in range(7)}
+PROTOCOLS = {"indoor": EVERYWHERE}
+FACTORS = {f"{i}.jpg": 1 + 0.11 * i for i in range(4)}
 
 
-def photos(n: int, *, without_truth: Sequence[int] = ()) -> list[Sample]:
-    """Photos "0.jpg", "1.jpg" ..., of rooms and of streets by turns, of several sizes."""
-    samples = [photo((130 + i, 20), seed=i, domain=("indoor", "outdoor")[i % 2], name=f"{i}.jpg") for i in range(n)]
-    return [
-        replace(s, target=0 * s.target, mask=s.mask & False) if i in without_truth else s for i, s in enumerate(samples)
+class Photos(list[Sample]):
+    """Samples that are all of rooms."""
+
+    domains = ("indoor",)
+    kinds = ("depth",)
+
+
+def photos(n: int) -> Photos:
+    return Photos(photo((130, 20), seed=i, name=f"{i}.jpg") for i in range(n))
+
+
+def evaluation_set(n: int, **about: object) -> EvaluationSet:
+    return EvaluationSet(photos(n), PROTOCOLS, about)
+
+
+class NamedSource(FactorSource):
+    """A source that says what its scores depend on."""
+
+    about = {"weights": "1234"}  # noqa: RUF012
+
+
+SETS = {"rooms": evaluation_set(4), "a b": evaluation_set(2)}
+
+
+def test_summaries_are_set_by_set_of_all_sources() -> None:
+    ours, theirs = FactorSource(FACTORS), FactorSource({"0.jpg": 1.5})
+    found = evaluate({"ours": ours, "theirs": theirs}, SETS)
+    expected = [
+        summarise(label, name, list(score_dataset(source, each.dataset, PROTOCOLS).scores.values()), PROTOCOLS)
+        for name, each in SETS.items()
+        for label, source in {"ours": ours, "theirs": theirs}.items()
     ]
+    assert found.summaries == expected
+    assert (found.complete, found.failures, found.pictures, found.processes) == (True, [], {}, Processes())
 
 
-def asked(source: FactorSource) -> list[str]:
-    """Photos that were predicted since last asked."""
-    names = list(source.asked)
-    source.asked.clear()
-    return names
+def test_failures_are_told_one_by_one_and_make_it_incomplete() -> None:
+    told: list[str] = []
+    found = evaluate({"ours": FactorSource(broken=["1.jpg"])}, SETS, on_failure=told.append)
+    assert told == found.failures == ["rooms, image 1: 1.jpg is broken", "a b, image 1: 1.jpg is broken"]
+    assert [(s.n_scored, s.n_failed) for s in found.summaries] == [(3, 1), (1, 1)]
+    assert not found.complete
+    assert evaluate({"ours": FactorSource(broken=["1.jpg"])}, SETS).failures == told  # without a callback, too
 
 
-# ---------------------------------------------------------------------------------------------------- scores
+def test_set_without_a_pixel_to_score_is_a_failure() -> None:
+    nothing = EvaluationSet(photos(1), {"indoor": replace(EVERYWHERE, max_depth=0.5)})
+    found = evaluate({"ours": FactorSource()}, {"far": nothing})
+    assert found.failures == ["far: no image has a known pixel under its protocol"]
+    assert not found.complete
 
 
-def test_scores_are_by_number_with_names_and_the_domain_of_the_head(tiny_model: ZoeDepth) -> None:
-    with torch.no_grad():  # takes every photo for an outdoor one
-        tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([0.0, 1000.0]))
-    found = evaluate(ModelSource(tiny_model), photos(3, without_truth=[1]), PROTOCOLS)
-    assert list(found.scores) == [0, 1, 2]
-    assert [s.name for s in found.scores.values()] == ["0.jpg", "1.jpg", "2.jpg"]
-    assert [s.domain for s in found.scores.values()] == ["indoor", "outdoor", "indoor"]
-    assert [s.sums is None for s in found.scores.values()] == [False, True, False]
-    assert [s.routed for s in found.scores.values()] == ["outdoor", None, "outdoor"]
-    assert found.failures == []
+def test_progress_has_the_images_and_says_of_what() -> None:
+    seen = []
 
+    def track(indices: list[int], description: str):
+        seen.append((indices, description))
+        return reversed(indices)
 
-def test_score_is_that_of_the_prediction_under_the_protocol_of_its_domain() -> None:
-    samples = photos(2)
-    source = FactorSource({"0.jpg": 1.5, "1.jpg": 1.5})
-    scores = evaluate(source, samples, PROTOCOLS).scores
-    for index, protocol in enumerate((EVERYWHERE, PLAIN)):
-        assert scores[index] == score(source.predict(samples[index], protocol), samples[index], protocol)
-    # At 9 m one is clipped to 10, the other is not.
-    assert scores[0].sums.metrics().rel < 0.5 == pytest.approx(scores[1].sums.metrics().rel, abs=1e-6)
-
-
-def test_kitti_photos_are_cut_to_their_bottom_centre_first(tiny_model: ZoeDepth) -> None:
-    sample = photo((375, 1242), domain="outdoor")
-    cropped = kitti_crop()(sample, np.random.default_rng(0))
-    uncut = replace(OUTDOOR, kitti_crop=False)
-    source = ModelSource(tiny_model)
-    ours, expected, other = (
-        evaluate(source, [given], {"outdoor": protocol}).scores[0]
-        for given, protocol in ((sample, OUTDOOR), (cropped, uncut), (sample, uncut))
-    )
-    assert ours == expected
-    assert ours != other
-    assert ours.sums.n_pixels == 232_574
-
-
-@pytest.mark.parametrize("protocol", [OUTDOOR, PLAIN], ids=["cut", "not cut"])
-def test_prediction_comes_with_the_sample_it_is_scored_against(protocol: Protocol) -> None:
-    sample = photo((375, 1242), domain="outdoor")
-    prediction, shown = predict(FactorSource(), sample, protocol)
-    assert torch.equal(shown.target, prepared(sample, protocol).target)
-    np.testing.assert_array_equal(prediction.depth, shown.target[0].numpy())
-    assert prediction.depth.shape == ((352, 1216) if protocol.kitti_crop else (375, 1242))
-
-
-def test_photos_without_truth_are_counted_and_never_predicted() -> None:
     source = FactorSource()
-    scores = evaluate(source, photos(4, without_truth=[0, 3]), PROTOCOLS).scores
-    assert asked(source) == ["1.jpg", "2.jpg"]
-    assert scores[0] == Score("0.jpg", "indoor", None, None)
-    assert scores[3] == Score("3.jpg", "outdoor", None, None)
+    evaluate({"ours": source}, SETS, track=track)
+    assert seen == [([0, 1, 2, 3], "ours on rooms"), ([0, 1], "ours on a b")]
+    assert source.asked == ["3.jpg", "2.jpg", "1.jpg", "0.jpg", "1.jpg", "0.jpg"]
 
 
-def test_truth_that_the_mask_hides_is_scored_where_the_protocol_ignores_masks() -> None:
-    (sample,) = photos(1)
-    hidden = replace(sample, mask=sample.mask & False)
-    source = FactorSource()
-    assert evaluate(source, [hidden], PROTOCOLS).scores[0].sums is None
-    found = evaluate(source, [hidden], {"indoor": replace(EVERYWHERE, use_mask=False)}).scores[0]
-    assert found.sums == evaluate(source, [sample], PROTOCOLS).scores[0].sums
+def test_folder_has_the_scores_and_the_same_call_goes_on(tmp_path: Path) -> None:
+    first = evaluate({"o/urs": FactorSource(FACTORS, broken=["2.jpg"])}, SETS, folder=tmp_path)
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.jsonl")) == [
+        "o-urs/a-b/scores-0-of-1.jsonl",
+        "o-urs/rooms/scores-0-of-1.jsonl",
+    ]
+    assert not first.complete
+    source = FactorSource(FACTORS)
+    found = evaluate({"o/urs": source}, SETS, folder=tmp_path)
+    assert source.asked == ["2.jpg"]
+    assert found.summaries == evaluate({"o/urs": FactorSource(FACTORS)}, SETS).summaries
 
 
-def test_failing_photo_is_listed_and_the_rest_scored() -> None:
-    source = FactorSource(broken=["1.jpg"])
-    found = evaluate(source, photos(3), PROTOCOLS)
-    assert list(found.scores) == [0, 2]
-    assert found.failures == ["image 1: 1.jpg is broken"]
+@pytest.mark.parametrize(
+    ("label", "source", "about"),
+    [("ours", FactorSource(), {"data": "a.csv"}), ("ours", NamedSource(), {"data": "b.csv"})],
+    ids=["other weights", "other data"],
+)
+def test_folder_of_something_else_is_an_error(tmp_path: Path, label: str, source, about: dict[str, object]) -> None:
+    evaluate({"ours": NamedSource()}, {"rooms": evaluation_set(2, data="a.csv")}, folder=tmp_path)
+    header = json.loads((tmp_path / "ours/rooms/scores-0-of-1.jsonl").read_text().splitlines()[0])
+    assert header["about"] == {"source": "ours", "weights": "1234", "data": "a.csv"}
+    with pytest.raises(InputError, match="give another --out"):
+        evaluate({label: source}, {"rooms": evaluation_set(2, **about)}, folder=tmp_path)
 
 
-def test_photo_that_cannot_be_read_is_listed_and_the_rest_scored() -> None:
-    class Damaged(list):
-        def __getitem__(self, index: int) -> Sample:
-            if index == 0:
-                raise InputError("0.jpg is cut short")
-            return super().__getitem__(index)
-
-    found = evaluate(FactorSource(), Damaged(photos(3)), PROTOCOLS)
-    assert list(found.scores) == [1, 2]
-    assert found.failures == ["image 0: 0.jpg is cut short"]
-
-
-def test_domain_without_a_protocol_and_disparity_are_failures_that_say_so() -> None:
-    first, second = photos(2)
-    found = evaluate(FactorSource(), [replace(first, domain="attic"), replace(second, kind="disparity")], PROTOCOLS)
-    assert not found.scores
-    assert "'attic' of 0.jpg" in found.failures[0]
-    assert "1.jpg has disparity" in found.failures[1]
-
-
-def test_other_errors_are_not_swallowed() -> None:
-    class Wrong(FactorSource):
-        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        evaluate(Wrong(), photos(1), PROTOCOLS)
-
-
-def test_order_of_the_photos_does_not_matter() -> None:
-    samples = photos(7, without_truth=[3])
-    shuffled = random.Random(0).sample(samples, 7)
-    assert [s.name for s in shuffled] != [s.name for s in samples]
-    one, other = (
-        summarise("a", "b", list(evaluate(FactorSource(FACTORS), given, PROTOCOLS).scores.values()), PROTOCOLS)
-        for given in (samples, shuffled)
-    )
-    assert one == other
-
-
-# ---------------------------------------------------------------------------------------------------- files
-
-
-def run(folder: Path, source: FactorSource, samples: list[Sample] | None = None, **options: object):
-    return evaluate(source, samples or photos(5), PROTOCOLS, folder=folder, about={"model": "a"}, **options)
-
-
-def lines_of(folder: Path, name: str = "scores-0-of-1.jsonl") -> list[str]:
-    return (folder / name).read_text().splitlines()
-
-
-def test_file_has_a_header_and_a_line_an_image(tmp_path: Path) -> None:
-    found = run(tmp_path / "new" / "folder", FactorSource(FACTORS))
-    header, *lines = map(json.loads, lines_of(tmp_path / "new" / "folder"))
-    assert header == {
-        "about": {"model": "a"},
-        "protocols": {"indoor": EVERYWHERE.label, "outdoor": PLAIN.label},
-        "images": 5,
+def test_report_has_tables_and_pictures(tmp_path: Path) -> None:
+    sources = {"ours": FactorSource(FACTORS), "none": FactorSource(broken=[f"{i}.jpg" for i in range(4)])}
+    found = evaluate(sources, SETS, folder=tmp_path, pictures=True)
+    assert found.pictures == {
+        "rooms": [
+            ("rooms: REL by true depth", tmp_path / "rooms-error-by-depth.png"),
+            ("ours: best, median and worst image by REL", tmp_path / "ours/rooms/examples.png"),
+        ],
+        "a b": [
+            ("a b: REL by true depth", tmp_path / "a-b-error-by-depth.png"),
+            ("ours: best, median and worst image by REL", tmp_path / "ours/a-b/examples.png"),
+        ],
     }
-    assert [line.pop("index") for line in lines] == [0, 1, 2, 3, 4]
-    assert [Score.from_json(line) for line in lines] == list(found.scores.values())
-    assert read_scores(tmp_path / "new" / "folder") == found.scores
+    for listed in found.pictures.values():
+        assert all(Image.open(path).format == "PNG" for _, path in listed)
+    found.write_report(tmp_path, command="python compare.py")
+    text = (tmp_path / "report.md").read_text()
+    assert "python compare.py" in text
+    assert "![rooms: REL by true depth](rooms-error-by-depth.png)" in text
+    assert all(table.markdown() in text for table in found.tables())
 
 
-def test_lines_are_written_one_by_one(tmp_path: Path) -> None:
-    counts = []
-
-    class Watching(FactorSource):
-        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-            counts.append(len(lines_of(tmp_path)))
-            return super().predict(sample, protocol)
-
-    run(tmp_path, Watching())
-    assert counts == [1, 2, 3, 4, 5]
+def test_papers_rows_are_those_of_the_data_sets_name() -> None:
+    found = evaluate({"ours": FactorSource()}, {"nyu": SETS["rooms"], "rooms": SETS["rooms"]})
+    nyu, _, _, rooms, _, _ = found.tables(with_paper=True)
+    assert ("Eigen et al. (paper)", "not run", "0.158", "0.641", "-", "0.769", "0.950", "0.988", "-", "") in nyu.rows
+    assert len(rooms.rows) == 1
+    assert len(found.tables()[0].rows) == 1
 
 
-def test_interrupted_run_goes_on_with_what_is_missing(tmp_path: Path) -> None:
-    class Interrupted(FactorSource):
-        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-            if sample.name == "2.jpg":
-                raise KeyboardInterrupt
-            return super().predict(sample, protocol)
-
-    with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, Interrupted(FACTORS))
-    source = FactorSource(FACTORS)
-    found = run(tmp_path, source)
-    assert asked(source) == ["2.jpg", "3.jpg", "4.jpg"]
-    assert found.scores == run(tmp_path / "whole", source).scores
-    asked(source)
-    assert run(tmp_path, source) == found
-    assert asked(source) == []
-    assert len(lines_of(tmp_path)) == 6
-
-
-@pytest.mark.parametrize("cut", [1, 2, 30, 400], ids=lambda n: f"{n} bytes")
-def test_half_written_last_line_is_scored_again(tmp_path: Path, cut: int) -> None:
-    source = FactorSource(FACTORS)
-    expected = run(tmp_path, source)
-    asked(source)
-    path = tmp_path / "scores-0-of-1.jsonl"
-    path.write_bytes(path.read_bytes()[:-cut])
-    assert run(tmp_path, source) == expected
-    # Of one byte only the end of the line is lost.
-    assert asked(source) == ([] if cut == 1 else ["4.jpg"])
-    # And what was written behind it is found.
-    assert run(tmp_path, source) == expected
-    assert asked(source) == []
-
-
-@pytest.mark.parametrize("kept", [0, 1, 40])
-def test_run_that_was_killed_at_its_first_line_begins_anew(tmp_path: Path, kept: int) -> None:
-    source = FactorSource(FACTORS)
-    expected = run(tmp_path, source)
-    path = tmp_path / "scores-0-of-1.jsonl"
-    path.write_bytes(path.read_bytes()[:kept])
-    assert run(tmp_path, source) == expected
-    assert run(tmp_path, source) == expected
-    assert len(lines_of(tmp_path)) == 6
-
-
-def test_header_is_there_before_the_first_photo_is_predicted(tmp_path: Path) -> None:
-    class Killed(FactorSource):
-        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(tmp_path, Killed())
-    assert json.loads(lines_of(tmp_path)[0])["about"] == {"model": "a"}
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"about": {"model": "b"}},
-        {"about": {"model": "a", "more": 1}},
-        {"protocols": {**PROTOCOLS, "indoor": replace(EVERYWHERE, max_depth=9.0)}},
-        {"protocols": {"indoor": EVERYWHERE}},
-        {"data": photos(4)},
-    ],
-    ids=["model", "more about it", "protocol", "domains", "data"],
-)
-def test_scores_of_something_else_are_an_error_that_names_the_file(tmp_path: Path, changes: dict[str, object]) -> None:
-    run(tmp_path, FactorSource())
-    before = lines_of(tmp_path)
-    given = {"data": photos(5), "protocols": PROTOCOLS, "about": {"model": "a"}, **changes}
-    with pytest.raises(InputError, match=r"scores-0-of-1\.jsonl.*give another --out"):
-        evaluate(FactorSource(), folder=tmp_path, **given)
-    assert lines_of(tmp_path) == before
-
-
-def test_failed_photo_is_tried_again(tmp_path: Path) -> None:
-    run(tmp_path, FactorSource(FACTORS, broken=["1.jpg", "3.jpg"]))
-    source = FactorSource(FACTORS, broken=["3.jpg"])
-    found = run(tmp_path, source)
-    assert asked(source) == ["1.jpg", "3.jpg"]
-    assert list(found.scores) == [0, 1, 2, 4]
-    assert found.failures == ["image 3: 3.jpg is broken"]
-
-
-def test_progress_is_of_what_is_missing(tmp_path: Path) -> None:
-    run(tmp_path, FactorSource(broken=["1.jpg", "3.jpg"]))
-    seen: list[list[int]] = []
-    run(tmp_path, FactorSource(), track=lambda indices: seen.append(indices) or iter(indices))
-    assert seen == [[1, 3]]
-
-
-# ---------------------------------------------------------------------------------------------------- processes
-
-
-def summary_of(scores: dict[int, Score]):
-    return summarise("model", "data", list(scores.values()), PROTOCOLS)
-
-
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_two_processes_give_exactly_the_numbers_of_one(tmp_path: Path, order: tuple[int, int]) -> None:
-    samples = photos(7, without_truth=[4])
-    alone = run(tmp_path / "one", FactorSource(FACTORS, domain="indoor"), samples)
-    sources = {rank: FactorSource(FACTORS, domain="indoor") for rank in order}
-    for rank in order:
-        run(tmp_path / "two", sources[rank], samples, processes=Processes(rank, 2))
-    assert [asked(sources[rank]) for rank in (0, 1)] == [["0.jpg", "2.jpg", "6.jpg"], ["1.jpg", "3.jpg", "5.jpg"]]
-    together = read_scores(tmp_path / "two")
-    assert list(together.items()) == list(alone.scores.items())
-    numbers = dataclasses.asdict(summary_of(alone.scores))
-    assert numbers == dataclasses.asdict(summary_of(together))
-    assert None not in (numbers["metrics"], numbers["other_mean"], numbers["router"], numbers["boundary_f1"])
-    assert numbers["calibration"]
-    assert len(numbers["domains"]) == 2
-
-
-def test_process_beside_one_that_has_just_begun_does_not_mind(tmp_path: Path) -> None:
-    for name, text in (("scores-0-of-3.jsonl", ""), ("scores-1-of-3.jsonl", '{"abo')):
-        (tmp_path / name).write_text(text)
-    source = FactorSource()
-    run(tmp_path, source, processes=Processes(2, 3))
-    assert asked(source) == ["2.jpg"]
-    assert list(read_scores(tmp_path)) == [2]
-
-
-@pytest.mark.parametrize("count", [1, 3])
-def test_another_number_of_processes_goes_on(tmp_path: Path, count: int) -> None:
-    samples = photos(7)
-    run(tmp_path, FactorSource(FACTORS), samples, processes=Processes(1, 2))
-    sources = [FactorSource(FACTORS) for _ in range(count)]
-    for rank in range(count):
-        run(tmp_path, sources[rank], samples, processes=Processes(rank, count))
-    assert sorted(name for source in sources for name in asked(source)) == ["0.jpg", "2.jpg", "4.jpg", "6.jpg"]
-    assert read_scores(tmp_path) == run(tmp_path / "one", FactorSource(FACTORS), samples).scores
-
-
-@pytest.mark.parametrize(
-    ("environment", "expected"), [({}, (0, 1)), ({"RANK": "3", "WORLD_SIZE": "8"}, (3, 8))], ids=["alone", "torchrun"]
-)
-def test_processes_are_those_of_torchrun(
-    monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], expected: tuple[int, int]
+def test_pictures_need_a_folder_and_matplotlib_before_anything_is_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("RANK", "WORLD_SIZE"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value)
-    assert dataclasses.astuple(Processes.from_environment()) == expected
+    source = FactorSource()
+    with pytest.raises(InputError, match="pictures need a folder"):
+        evaluate({"ours": source}, SETS, pictures=True)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(MissingExtraError, match=r"zoedepth\[report\]"):
+        evaluate({"ours": source}, SETS, pictures=True, folder=tmp_path)
+    assert not source.asked
+
+
+def test_several_processes_need_a_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(InputError, match="--out"):
+        evaluate({"ours": FactorSource()}, SETS)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("zoed-lite", "zoed-lite"), ("a/b c", "a-b-c"), ("../x", "x"), ("ß_1.5", "ß_1.5"), ("//", "model"), ("", "model")],
+)
+def test_folder_is_named_after_the_label(text: str, expected: str) -> None:
+    assert folder_name(text) == expected

@@ -10,7 +10,7 @@ import pytest
 
 from zoedepth.errors import InputError
 from zoedepth.evaluation.improvement import mri_datasets, mri_metrics, relative_improvement
-from zoedepth.evaluation.published import ALL, MriEntry, datasets, mri_entries
+from zoedepth.evaluation.paper_numbers import ALL, MriEntry, datasets, mri_entries
 
 DOCS = Path(__file__).parents[2] / "docs" / "published.md"
 

@@ -9,16 +9,25 @@ import pytest
 import torch
 import torch.nn.functional as F
 from PIL import Image
-from tests.evaluation.samples import EVERYWHERE, photo, sample_of
+from tests.evaluation.samples import EVERYWHERE, FactorSource, photo, sample_of
 from torchvision.transforms import functional as transforms
 
 from zoedepth.config import ModelConfig
+from zoedepth.data.augment import kitti_crop
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
-from zoedepth.evaluation.predictions import ConstantSource, FolderSource, MeanMapSource, ModelSource
-from zoedepth.evaluation.protocols import OUTDOOR, Protocol
-from zoedepth.images import write_depth, write_depth_png
+from zoedepth.evaluation.predictions import (
+    ConstantSource,
+    FolderSource,
+    MeanMapSource,
+    ModelSource,
+    predict,
+    prepare,
+)
+from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.outputs import Maps, write_maps
+from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
@@ -159,15 +168,15 @@ def named(name: str) -> Sample:
 @pytest.mark.parametrize("suffix", [".png", ".npy", ".npz"])
 @pytest.mark.parametrize("place", ["image/room.1/0007", "0007", "image/room.1/0007_depth", "0007_depth"])
 def test_file_is_found_by_path_or_name_with_or_without_depth(tmp_path: Path, place: str, suffix: str) -> None:
-    write_depth(tmp_path / f"{place}{suffix}", DEPTH)
+    write_maps(tmp_path / f"{place}{suffix}", Maps(depth=DEPTH))
     found = FolderSource(tmp_path).predict(named("image/room.1/0007.jpg"), EVERYWHERE)
     np.testing.assert_allclose(found.depth, DEPTH, atol=5e-4)
     assert (found.std, found.domain, found.relative) == (None, None, False)
 
 
 def test_file_in_the_photos_tree_goes_before_one_of_the_same_name(tmp_path: Path) -> None:
-    write_depth(tmp_path / "7.npy", DEPTH)
-    write_depth(tmp_path / "b" / "7.npy", 2 * DEPTH)
+    write_maps(tmp_path / "7.npy", Maps(depth=DEPTH))
+    write_maps(tmp_path / "b" / "7.npy", Maps(depth=2 * DEPTH))
     source = FolderSource(tmp_path)
     np.testing.assert_array_equal(source.predict(named("b/7.jpg"), EVERYWHERE).depth, 2 * DEPTH)
     np.testing.assert_array_equal(source.predict(named("a/7.jpg"), EVERYWHERE).depth, DEPTH)
@@ -184,13 +193,13 @@ def test_scale_of_a_png_is_that_in_the_file_or_the_one_given(tmp_path: Path) -> 
 
 
 def test_scale_is_not_for_files_in_metres(tmp_path: Path) -> None:
-    write_depth(tmp_path / "a.npy", DEPTH)
+    write_maps(tmp_path / "a.npy", Maps(depth=DEPTH))
     found = FolderSource(tmp_path, scale=256).predict(named("a.jpg"), EVERYWHERE)
     np.testing.assert_array_equal(found.depth, DEPTH)
 
 
 def test_missing_file_is_an_error_that_names_photo_and_folder(tmp_path: Path) -> None:
-    write_depth(tmp_path / "other.npy", DEPTH)
+    write_maps(tmp_path / "other.npy", Maps(depth=DEPTH))
     with pytest.raises(InputError) as raised:
         FolderSource(tmp_path).predict(named("image/7.jpg"), EVERYWHERE)
     assert str(tmp_path) in str(raised.value)
@@ -305,3 +314,18 @@ def test_truth_of_the_photo_is_not_looked_at(kind: type) -> None:
     sample = photo((6, 8))
     other = dataclasses.replace(sample, target=sample.target + 1)
     np.testing.assert_array_equal(source.predict(sample, EVERYWHERE).depth, source.predict(other, EVERYWHERE).depth)
+
+
+# ---------------------------------------------------------------------------------------------------- cropping
+
+
+@pytest.mark.parametrize("protocol", [OUTDOOR, PLAIN], ids=["cropped", "whole"])
+def test_prediction_comes_with_the_sample_it_is_scored_against(protocol: Protocol) -> None:
+    sample = photo((375, 1242), domain="outdoor")
+    prediction, shown = predict(FactorSource(), sample, protocol)
+    expected = kitti_crop()(sample, np.random.default_rng(0)) if protocol.kitti_crop else sample
+    for found, wanted in ((shown, expected), (prepare(sample, protocol), expected)):
+        assert torch.equal(found.target, wanted.target)
+        assert torch.equal(found.image, wanted.image)
+    np.testing.assert_array_equal(prediction.depth, expected.target[0].numpy())
+    assert prediction.depth.shape == ((352, 1216) if protocol.kitti_crop else (375, 1242))

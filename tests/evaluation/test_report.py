@@ -16,10 +16,11 @@ from zoedepth.colors import INVALID_COLOR
 from zoedepth.data.sample import Sample
 from zoedepth.errors import MissingExtraError
 from zoedepth.evaluation import report
-from zoedepth.evaluation.evaluate import evaluate
+from zoedepth.evaluation.dataset_scores import score_dataset
 from zoedepth.evaluation.protocols import OUTDOOR
-from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, tables, write_picture, write_report
+from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, write_picture, write_report
 from zoedepth.evaluation.summary import Summary, summarise
+from zoedepth.evaluation.tables import report_tables
 
 PROTOCOLS = {"indoor": EVERYWHERE}
 
@@ -36,7 +37,7 @@ def source_of(*factors: float, broken: tuple[str, ...] = ()) -> FactorSource:
 
 
 def summary_of(source: FactorSource, label: str, data: str, samples: list[Sample]) -> Summary:
-    found = evaluate(source, samples, PROTOCOLS)
+    found = score_dataset(source, samples, PROTOCOLS)
     return summarise(label, data, list(found.scores.values()), PROTOCOLS, n_failed=len(found.failures))
 
 
@@ -55,18 +56,9 @@ def summaries() -> list[Summary]:
 # ---------------------------------------------------------------------------------------------------- files
 
 
-def test_data_set_has_three_tables_and_what_was_published_on_it(summaries: list[Summary]) -> None:
-    found = tables(summaries, {"rooms": [("BTS", {"rel": 0.5})], "elsewhere": [("DORN", {"rel": 0.5})]})
-    assert [table.title.split(":")[0] for table in found] == ["rooms"] * 3 + ["a_b"] * 3
-    assert [row[0] for row in found[0].rows] == ["ours", "theirs", "BTS (paper)"]
-    assert [row[0] for row in found[1].rows] == ["ours", "theirs"]
-    assert [row[0] for row in found[2].rows] == ["share of pixels", "ours", "theirs"]
-    assert [row[0] for row in found[3].rows] == ["ours"]
-
-
 @pytest.fixture
 def written(summaries: list[Summary], tmp_path: Path) -> Path:
-    found = tables(summaries, {})
+    found = report_tables(summaries, {})
     pictures = {"rooms": [("rooms by depth", tmp_path / "ours" / "examples.png")]}
     write_report(tmp_path, summaries, found, command="zoedepth evaluate --data rooms", pictures=pictures)
     return tmp_path
@@ -91,13 +83,18 @@ def test_markdown_has_the_command_the_tables_and_the_pictures_of_each_data_set(
     text = (written / "report.md").read_text()
     assert "```bash\nzoedepth evaluate --data rooms\n```" in text
     rooms, other = text.split("\n## a_b\n")
-    for table in tables(summaries, {}):
+    for table in report_tables(summaries, {}):
         assert (table.markdown() in rooms, table.markdown() in other) == (
             table.title.startswith("rooms"),
             table.title.startswith("a_b"),
         )
     assert "![rooms by depth](ours/examples.png)" in rooms
     assert "![" not in other
+
+
+def test_markdown_without_a_command_quotes_none(summaries: list[Summary], tmp_path: Path) -> None:
+    write_report(tmp_path, summaries, report_tables(summaries, {}), command="", pictures={})
+    assert "```" not in (tmp_path / "report.md").read_text()
 
 
 def test_markdown_says_what_is_in_no_mean(written: Path) -> None:
@@ -109,7 +106,7 @@ def test_markdown_says_what_is_in_no_mean(written: Path) -> None:
 
 def test_latex_has_all_tables(written: Path, summaries: list[Summary]) -> None:
     text = (written / "report.tex").read_text()
-    assert all(table.latex() in text for table in tables(summaries, {}))
+    assert all(table.latex() in text for table in report_tables(summaries, {}))
     assert text.count(r"\begin{table}") == 6
 
 
@@ -131,7 +128,7 @@ def panels(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, np.ndarray]]:
 
 
 def picture_of(source: FactorSource, samples: list[Sample]) -> np.ndarray | None:
-    return examples(source, samples, evaluate(source, samples, PROTOCOLS).scores, PROTOCOLS)
+    return examples(source, samples, score_dataset(source, samples, PROTOCOLS).scores, PROTOCOLS)
 
 
 def photo_captions(panels: list[tuple[str, np.ndarray]]) -> list[str]:
@@ -222,7 +219,7 @@ def test_photos_of_kitti_are_shown_as_they_are_scored(panels: list[tuple[str, np
     samples = [replace(sample, domain="outdoor") for sample in photos(1, size=(375, 1242))]
     source = source_of(0.75)
     protocols = {"outdoor": OUTDOOR}
-    assert examples(source, samples, evaluate(source, samples, protocols).scores, protocols) is not None
+    assert examples(source, samples, score_dataset(source, samples, protocols).scores, protocols) is not None
     assert panels[0][1].shape == (352, 1216, 3)
 
 

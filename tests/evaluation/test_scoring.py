@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from tests.evaluation.samples import EVERYWHERE, photo, prediction_of, sample_of
 
 from zoedepth.errors import InputError
 from zoedepth.evaluation.predictions import Prediction
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, Protocol
-from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, fit, score, scored_pixels
+from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, score, scored_pixels
 from zoedepth.metrics import Metrics, add_sums, mean_metrics, pixel_sums
 
 MEDIAN = replace(EVERYWHERE, alignment="median")
@@ -166,16 +165,9 @@ def test_prediction_of_another_size_is_resized_bilinearly_corners_aligned() -> N
     assert found == Metrics(0, 0, 0, 1, 1, 1, 0, 0, 0)
 
 
-def test_fitting_to_another_size_is_that_of_torch_and_to_its_own_nothing() -> None:
-    x = np.random.default_rng(0).uniform(1, 9, size=(7, 11)).astype(np.float32)
-    expected = F.interpolate(torch.tensor(x)[None, None], (20, 13), mode="bilinear", align_corners=True)[0, 0]
-    np.testing.assert_array_equal(fit(x, (20, 13)), expected.numpy())
-    assert fit(x, (7, 11)) is x
-
-
 def test_standard_deviation_of_another_size_is_resized_too() -> None:
     truth = np.arange(1.0, 10.0).reshape(3, 3) / 2
-    found = score(prediction_of(truth + 0.5, std=[[0.25, 0.25], [1.0, 1.0]]), sample_of(truth), EVERYWHERE).calibration
+    found = score(prediction_of(truth + 0.5, std=[[0.25, 0.25], [1.0, 1.0]]), sample_of(truth), EVERYWHERE).uncertainty
     assert found is not None
     assert found.coverage1 == pytest.approx(2 / 3)  # rows of 0.25, 0.625 and 1
     assert found.coverage2 == 1
@@ -289,8 +281,8 @@ def test_score_says_of_what_it_is() -> None:
 def test_uncertainty_is_judged_where_there_is_one() -> None:
     sample = photo((30, 40))
     depth = 1.25 * sample.target[0].numpy()
-    assert score(prediction_of(depth), sample, EVERYWHERE).calibration is None
-    found = score(prediction_of(depth, std=0.3 * depth), sample, EVERYWHERE).calibration
+    assert score(prediction_of(depth), sample, EVERYWHERE).uncertainty is None
+    found = score(prediction_of(depth, std=0.3 * depth), sample, EVERYWHERE).uncertainty
     assert found is not None
     assert (found.coverage1, found.coverage2) == (1, 1)
 
@@ -300,7 +292,7 @@ def test_uncertainty_of_a_depth_that_is_aligned_is_not_judged(protocol: Protocol
     # The standard deviation was of the depth before.
     sample = photo((30, 40))
     depth = 0.5 * sample.target[0].numpy()
-    assert score(prediction_of(depth, std=depth), sample, protocol).calibration is None
+    assert score(prediction_of(depth, std=depth), sample, protocol).uncertainty is None
 
 
 def test_edges_are_those_of_the_depth_that_is_scored() -> None:
@@ -315,8 +307,8 @@ def awkward_scores() -> list[Score]:
     sample = photo((130, 40))
     depth = sample.target[0].numpy() * 1.1
     full = score(prediction_of(depth, std=depth / 7)._replace(domain="outdoor"), sample, EVERYWHERE)
-    assert None not in (full.routed, full.sums, full.calibration, full.boundary_f1)
-    return [full, replace(full, routed=None, calibration=None, boundary_f1=None), Score("b", "", None, None)]
+    assert None not in (full.routed, full.sums, full.uncertainty, full.boundary_f1)
+    return [full, replace(full, routed=None, uncertainty=None, boundary_f1=None), Score("b", "", None, None)]
 
 
 @pytest.mark.parametrize("index", [0, 1, 2], ids=["everything", "no uncertainty and no edges", "nothing"])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from zoedepth.evaluation.uncertainty import STEPS, Calibration, calibration
+from zoedepth.evaluation.uncertainty import STEPS, UncertaintyScores, score_uncertainty
 
 RNG = np.random.default_rng(0)
 TRUTH = RNG.uniform(1, 9, size=4000)
@@ -19,32 +19,33 @@ def doubts_in_the_order_of(values: np.ndarray) -> np.ndarray:
 
 
 def test_doubts_in_the_order_of_the_errors_are_0() -> None:
-    assert calibration(DEPTH, TRUTH, doubts_in_the_order_of(ERROR / TRUTH)).ause == 0
+    assert score_uncertainty(DEPTH, TRUTH, doubts_in_the_order_of(ERROR / TRUTH)).ause == 0
 
 
 def test_doubts_proportional_to_the_errors_of_one_depth_are_0() -> None:
     truth = np.full(500, 4.0)
     depth = truth + np.linspace(0, 1, 500)
-    assert calibration(depth, truth, 0.5 * (depth - truth)).ause == pytest.approx(0, abs=1e-12)
+    assert score_uncertainty(depth, truth, 0.5 * (depth - truth)).ause == pytest.approx(0, abs=1e-12)
 
 
 def test_doubts_at_random_are_1() -> None:
-    assert calibration(DEPTH, TRUTH, DEPTH * RNG.uniform(0.1, 1, size=4000)).ause == pytest.approx(1, abs=0.1)
+    assert score_uncertainty(DEPTH, TRUTH, DEPTH * RNG.uniform(0.1, 1, size=4000)).ause == pytest.approx(1, abs=0.1)
 
 
 def test_same_doubt_everywhere_is_1() -> None:
     # No order: pixels as they come, which here is at random.
-    assert calibration(DEPTH, TRUTH, 0.3 * DEPTH).ause == pytest.approx(1, abs=0.1)
+    assert score_uncertainty(DEPTH, TRUTH, 0.3 * DEPTH).ause == pytest.approx(1, abs=0.1)
 
 
 def test_doubts_in_the_opposite_order_are_worse_than_at_random() -> None:
-    assert calibration(DEPTH, TRUTH, doubts_in_the_order_of(-ERROR / TRUTH)).ause > 1.5
+    assert score_uncertainty(DEPTH, TRUTH, doubts_in_the_order_of(-ERROR / TRUTH)).ause > 1.5
 
 
 def test_better_order_is_lower() -> None:
     noise = RNG.normal(0, 1, size=4000)
     found = [
-        calibration(DEPTH, TRUTH, doubts_in_the_order_of(ERROR / TRUTH + s * noise)).ause for s in (0, 0.05, 0.2, 1)
+        score_uncertainty(DEPTH, TRUTH, doubts_in_the_order_of(ERROR / TRUTH + s * noise)).ause
+        for s in (0, 0.05, 0.2, 1)
     ]
     assert found == sorted(found)
     assert len(set(found)) == 4
@@ -52,9 +53,9 @@ def test_better_order_is_lower() -> None:
 
 def test_doubts_are_relative_to_the_predicted_depth() -> None:
     std = doubts_in_the_order_of(RNG.uniform(0, 1, size=4000))
-    found = calibration(DEPTH, TRUTH, std)
-    assert calibration(DEPTH, TRUTH, 7 * std).ause == found.ause
-    assert calibration(3 * DEPTH, 3 * TRUTH, 3 * std).ause == pytest.approx(found.ause, rel=1e-9)
+    found = score_uncertainty(DEPTH, TRUTH, std)
+    assert score_uncertainty(DEPTH, TRUTH, 7 * std).ause == found.ause
+    assert score_uncertainty(3 * DEPTH, 3 * TRUTH, 3 * std).ause == pytest.approx(found.ause, rel=1e-9)
 
 
 def test_area_by_hand() -> None:
@@ -68,32 +69,32 @@ def test_area_by_hand() -> None:
     # Taken away one by one: what is left differs only after the first, by the difference of the two over 19.
     best = [relative[: n - k].mean() for k in range(n)]
     expected = (0.1 / 19) / n / np.mean(relative.mean() - best)
-    assert calibration(depth, truth, ranks * depth).ause == pytest.approx(expected, rel=1e-9)
+    assert score_uncertainty(depth, truth, ranks * depth).ause == pytest.approx(expected, rel=1e-9)
 
 
 def test_coverages_by_hand() -> None:
     truth = np.full(8, 4.0)
     depth = truth + np.array([0, 0.5, -0.5, 0.75, 1.0, -1.0, 1.25, -3.0])
     # The border counts as within.
-    found = calibration(depth, truth, np.full(8, 0.5))
+    found = score_uncertainty(depth, truth, np.full(8, 0.5))
     assert (found.coverage1, found.coverage2) == (3 / 8, 6 / 8)
 
 
 def test_normal_errors_are_covered_as_they_must() -> None:
     truth = np.full(100_000, 10.0)
-    found = calibration(truth + RNG.normal(0, 0.5, size=100_000), truth, np.full(100_000, 0.5))
+    found = score_uncertainty(truth + RNG.normal(0, 0.5, size=100_000), truth, np.full(100_000, 0.5))
     assert (found.coverage1, found.coverage2) == (pytest.approx(0.6827, abs=0.01), pytest.approx(0.9545, abs=0.01))
 
 
 @pytest.mark.filterwarnings("error")
 def test_perfect_prediction_and_no_doubt_divide_nothing_by_zero() -> None:
-    assert calibration(TRUTH, TRUTH, np.zeros(4000)) == Calibration(0.0, 1.0, 1.0)
-    assert calibration(DEPTH, TRUTH, np.zeros(4000)).coverage2 == 0
+    assert score_uncertainty(TRUTH, TRUTH, np.zeros(4000)) == UncertaintyScores(0.0, 1.0, 1.0)
+    assert score_uncertainty(DEPTH, TRUTH, np.zeros(4000)).coverage2 == 0
 
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("n", [1, 2, STEPS - 1, STEPS + 1])
 def test_few_pixels_have_numbers_too(n: int) -> None:
-    found = calibration(DEPTH[:n], TRUTH[:n], ERROR[:n])
+    found = score_uncertainty(DEPTH[:n], TRUTH[:n], ERROR[:n])
     assert np.isfinite(dataclasses.astuple(found)).all()
     assert found.coverage1 == 1

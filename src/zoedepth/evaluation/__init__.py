@@ -1,1 +1,4 @@
-"""Evaluation: protocols as data, and the function that scores a model under one."""
+"""Evaluation: protocols as data, sources of predictions, and the function that scores every source on every set.
+
+``evaluate.evaluate`` is where to begin; docs/evaluation.md shows how to call it.
+"""

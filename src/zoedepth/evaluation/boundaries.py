@@ -1,12 +1,12 @@
-"""Agreement of depth edges: how sharp a depth map is where the truth jumps."""
+"""Score depth edges: how sharp a depth map is where the true depth jumps."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 THRESHOLDS = tuple(1 + 0.05 * step for step in range(1, 6))
-"""Ratios of neighbouring depths above which there is an edge; 5 to 25 %, the larger of more weight."""
+"""Ratios of two neighbouring depths above which there is an edge: 5, 10, 15, 20 and 25 %."""
 MIN_PAIRS = 100
-"""Below this many edges of the truth at the first threshold there is nothing to measure."""
+"""Fewest edges that the truth must have at the first threshold for an image to get a score."""
 
 
 def boundary_f1(
@@ -14,16 +14,15 @@ def boundary_f1(
     truth: Float[np.ndarray, "height width"],
     known: Bool[np.ndarray, "height width"],
 ) -> float | None:
-    """F1 of occluding edges, in [0, 1], averaged over thresholds with the threshold's excess as weight.
+    """Compute the F1 score of occluding edges, in [0, 1]: the mean over thresholds t, each weighted by t - 1.
 
-    A threshold above which neither has an edge says nothing and is left out.
-
-    An edge lies between two neighbouring known pixels, in a row or a column, where the farther is more than t times the
-    nearer; it agrees if it lies in the same place and falls in the same direction. It does not see a factor on the
-    depth. (Bochkovskii et al. 2024, Depth Pro, section 3.4, for neighbours across and down.)
+    An edge lies between two neighbouring known pixels, in a row or a column, where the farther is more than t times as
+    far as the nearer. An edge of the prediction is right if the truth has one at the same place, in the same direction.
+    A threshold at which neither map has an edge is left out. A factor on the depth changes nothing. (Bochkovskii et al.
+    2024, Depth Pro, section 3.4, for horizontal and vertical neighbours.)
 
     Returns:
-        None where the truth has too few neighbouring known pixels with an edge: sparse lidar has none.
+        None where the truth has fewer than ``MIN_PAIRS`` edges. Sparse lidar has none, as no two known pixels touch.
     """
     scores, weights = [], []
     for threshold in THRESHOLDS:
@@ -38,7 +37,7 @@ def boundary_f1(
 
 
 def _edges(x: np.ndarray, known: np.ndarray, threshold: float) -> np.ndarray:
-    """For every pair of neighbours, in both directions: whether the second is farther by more than the threshold."""
+    """Return, for every pair of neighbours and both directions, True where the second is farther by the threshold."""
     pairs = [
         (x[:, :-1], x[:, 1:], known[:, :-1] & known[:, 1:]),
         (x[:-1], x[1:], known[:-1] & known[1:]),

@@ -1,6 +1,6 @@
-"""Where predictions come from: a model, a folder of somebody's depth maps, or what one would say without looking."""
+"""Sources of predictions: a model, a folder of somebody's depth maps, or a guess that never looks at the photo."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar, runtime_checkable
 from typing import Protocol as Interface
@@ -11,44 +11,77 @@ import torch.nn.functional as F
 from jaxtyping import Float
 
 from zoedepth.data.augment import kitti_crop
-from zoedepth.data.sample import Sample
+from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
+from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
 from zoedepth.evaluation.protocols import Protocol
-from zoedepth.images import DepthArray, read_depth, to_image
+from zoedepth.images import DepthArray, to_image
 from zoedepth.model.interface import DepthModel
+from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
+from zoedepth.stored import read_depth
+from zoedepth.weights.load import find, load_model
 
 
 class Prediction(NamedTuple):
-    """What is said of one photo, at any size."""
+    """The answer of a source for one photo.
+
+    A ``DepthMap`` is what a model makes of a photo, in metres and at the photo's size. A prediction may also come from
+    a file or a guess: it can have any size, it can be relative, and nothing is known of a router or of the photo.
+    """
 
     depth: DepthArray
-    """Metres; or relative inverse depth, where ``relative``."""
+    """Metres; inverse depth up to an unknown scale and shift where ``relative``."""
     std: DepthArray | None = None
-    """Metres: how unsure the prediction is of itself."""
+    """Standard deviation of the depth in metres, where the source has one."""
     domain: str | None = None
     """Domain of the head that was chosen, where there was a choice."""
     relative: bool = False
-    """The depth is inverse, up to an unknown scale and shift."""
+    """True where the depth is inverse, up to an unknown scale and shift."""
 
 
 @runtime_checkable
-class Source(Interface):
-    """Anything that has something to say about a photo."""
+class PredictionSource(Interface):
+    """Anything that predicts the depth of a photo.
+
+    A source may have an attribute ``about``: a dict of the facts that its scores depend on, such as a hash of the
+    weights. It is stored beside the scores, and an interrupted evaluation goes on only where it is the same.
+    """
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """Depth of a sample's photo, which is cut as the protocol says already. The truth is not to be looked at."""
+        """Predict the depth of a sample's photo, which is cropped already. The true depth must not be looked at."""
         ...
 
 
 class ModelSource:
-    """A ZoeDepth, run as the protocol says."""
+    """A model, run as the protocol says.
 
-    def __init__(self, model: DepthModel) -> None:
+    Args:
+        model: in evaluation mode, with or without metric heads.
+        about: facts that its scores depend on; see ``PredictionSource``.
+    """
+
+    def __init__(self, model: DepthModel, *, about: Mapping[str, object] | None = None) -> None:
         self.model = model
+        self.about = dict(about or {})
+
+    @classmethod
+    def load(cls, name: str | Path, *, compat: Sequence[str] = (), device: str = "auto") -> "ModelSource":
+        """Load a model, and remember the hash of its weights.
+
+        Args:
+            name: see ``zoedepth.weights.load.load_model``.
+            compat: behaviours of the original code to take over; see there, too.
+            device: cpu, cuda, mps, or auto for the best there is.
+
+        Raises:
+            InputError: there is no such model, behaviour or device.
+        """
+        model = Predictor(load_model(name, compat=tuple(compat)), device=device).model
+        return cls(model, about={"weights": weights_fingerprint(find(name)), "compat": list(compat)})
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """Depth at the photo's size; relative depth from a model without metric heads."""
+        """Predict depth at the photo's size; relative depth where the model has no metric heads."""
         predictor = Predictor(
             self.model,
             flip_average=protocol.flip_average,
@@ -64,10 +97,14 @@ class ModelSource:
 
 
 class FolderSource:
-    """Depth maps in files: ``name.png`` (16 bits), ``.npy`` or ``.npz``, beside each other or in the photos' tree.
+    """A folder of depth maps: ``name.png`` (16 bits), ``.npy`` or ``.npz``, all in one place or in the photos' tree.
 
-    They are found by the photo's path as its list has it, by its name, or by its name and ``_depth``. What has another
-    size than the true depth is resized bilinearly.
+    A depth map is found by the photo's path as its list has it, or by its file name alone, each with or without
+    ``_depth`` at the end. One of another size than the true depth is resized bilinearly.
+
+    Args:
+        folder: where the depth maps are.
+        scale: PNG levels per metre, for files that do not say it; None takes what each file says.
 
     Raises:
         InputError: the folder does not exist.
@@ -75,12 +112,13 @@ class FolderSource:
 
     def __init__(self, folder: Path, *, scale: float | None = None) -> None:
         if not folder.is_dir():
-            raise InputError(f"there is no folder {folder} with predictions")
+            raise InputError(f"there is no folder {folder} with predictions: give the folder that holds the depth maps")
         self.folder = folder
         self.scale = scale
+        self.about: dict[str, object] = {"folder": str(folder)}
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """The file of this photo.
+        """Read the depth map of this photo.
 
         Raises:
             InputError: there is none, or it is damaged.
@@ -92,62 +130,141 @@ class FolderSource:
                 path = self.folder / f"{name}{suffix}"
                 if path.is_file():
                     return Prediction(read_depth(path, scale=self.scale if suffix == ".png" else None))
-        raise InputError(f"{self.folder} has no depth of {sample.name}: neither {names[0]}.png, .npy nor .npz")
+        raise InputError(f"{self.folder} has no depth of {sample.name}: add {names[0]}.png, .npy or .npz to it")
 
 
 class ConstantSource:
-    """One depth for every pixel of a domain: the one with the least mean REL on training data."""
+    """One depth for all photos of a domain: the constant with the least mean REL on the training data.
 
-    def __init__(self, training: Iterable[Sample], protocols: dict[str, Protocol]) -> None:
+    Args:
+        training: samples whose depth is read, each in a domain of ``protocols``.
+        protocols: domain → protocol, which crops the samples and limits the depth.
+        about: facts that its scores depend on; see ``PredictionSource``.
+
+    Raises:
+        InputError: a domain has no known depth.
+    """
+
+    def __init__(
+        self,
+        training: Iterable[Sample],
+        protocols: Mapping[str, Protocol],
+        *,
+        about: Mapping[str, object] | None = None,
+    ) -> None:
         values: dict[str, list[np.ndarray]] = {}
         for sample in training:
-            truth = _known(_cut(sample, protocols[sample.domain]), protocols[sample.domain])
+            protocol = protocols[sample.domain]
+            truth = _known(prepare(sample, protocol), protocol)
             # A few pixels of each image are enough for one number.
             values.setdefault(sample.domain, []).append(truth[:: max(1, len(truth) // 2000)])
         self.depth = {domain: _least_rel(np.concatenate(found), domain) for domain, found in values.items()}
+        self.about = dict(about or {})
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """The domain's constant."""
+        """Return the domain's constant at every pixel.
+
+        Raises:
+            InputError: the training data had no photo of this domain.
+        """
         depth = _of_domain(self.depth, sample)
         return Prediction(np.full(tuple(sample.target.shape[1:]), depth, dtype=np.float32))
 
 
 class MeanMapSource:
-    """The mean of the training set's depth maps, pixel by pixel: what is learned without looking at the photo."""
+    """The mean of all depth maps of the training data, pixel by pixel: what can be learned without the photo.
+
+    Args:
+        training: samples whose depth is read, each in a domain of ``protocols``.
+        protocols: domain → protocol, which crops the samples and limits the depth.
+        about: facts that its scores depend on; see ``PredictionSource``.
+
+    Raises:
+        InputError: a domain has no known depth.
+    """
 
     SIZE = (240, 320)
+    """(height, width) of the mean maps."""
 
-    def __init__(self, training: Iterable[Sample], protocols: dict[str, Protocol]) -> None:
+    def __init__(
+        self,
+        training: Iterable[Sample],
+        protocols: Mapping[str, Protocol],
+        *,
+        about: Mapping[str, object] | None = None,
+    ) -> None:
         total: dict[str, np.ndarray] = {}
         count: dict[str, np.ndarray] = {}
         for sample in training:
             protocol = protocols[sample.domain]
-            cut = _cut(sample, protocol)
+            shown = prepare(sample, protocol)
             truth, mask = (F.interpolate(x[None].float(), self.SIZE, mode="nearest")[0, 0].numpy()
-                           for x in (cut.target, cut.mask))  # fmt: skip
+                           for x in (shown.target, shown.mask))  # fmt: skip
             known = (mask > 0) & (truth > protocol.min_depth) & (truth < protocol.max_depth)
             total[sample.domain] = total.get(sample.domain, np.zeros(self.SIZE)) + np.where(known, truth, 0)
             count[sample.domain] = count.get(sample.domain, np.zeros(self.SIZE)) + known
         self.depth = {domain: _filled(total[domain], count[domain], domain) for domain in total}
+        self.about = dict(about or {})
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """The domain's mean map, at the size of the true depth."""
+        """Return the domain's mean map at the size of the true depth.
+
+        Raises:
+            InputError: the training data had no photo of this domain.
+        """
         mean = torch.from_numpy(_of_domain(self.depth, sample))[None, None]
         size = tuple(sample.target.shape[1:])
         return Prediction(F.interpolate(mean, size, mode="bilinear", align_corners=True)[0, 0].numpy())
 
 
+def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol]) -> dict[str, PredictionSource]:
+    """Make the two sources that need no photo, from lists of training data: "best constant" and "mean depth map".
+
+    Args:
+        training: lists of photos with depth; see ``zoedepth.opening.open_dataset``. Disparity in them is passed over.
+        protocols: domain → protocol; samples of other domains are passed over.
+
+    Raises:
+        InputError: there is no such list, or a domain has no known depth.
+    """
+    datasets = [open_dataset(path, split="train") for path in training]
+    about = {"training": {str(path): list_fingerprint(str(path)) for path in training}}
+    return {
+        "best constant": ConstantSource(_training_samples(datasets, protocols), protocols, about=about),
+        "mean depth map": MeanMapSource(_training_samples(datasets, protocols), protocols, about=about),
+    }
+
+
+def prepare(sample: Sample, protocol: Protocol) -> Sample:
+    """Crop photo and depth as the protocol says, before the photo is predicted and the depth is scored."""
+    return kitti_crop()(sample, np.random.default_rng()) if protocol.kitti_crop else sample
+
+
+def predict(source: PredictionSource, sample: Sample, protocol: Protocol) -> tuple[Prediction, Sample]:
+    """Predict a sample as an evaluation does; returns the sample as it is scored, too."""
+    shown = prepare(sample, protocol)
+    return source.predict(shown, protocol), shown
+
+
 Value = TypeVar("Value")
+
+
+def _training_samples(datasets: Sequence[DepthDataset], protocols: Mapping[str, Protocol]) -> Iterator[Sample]:
+    for dataset in datasets:
+        if set(dataset.domains) & protocols.keys():  # else nothing of it need be read
+            for index in range(len(dataset)):
+                sample = dataset[index]
+                if sample.kind == "depth" and sample.domain in protocols:
+                    yield sample
 
 
 def _of_domain(values: dict[str, Value], sample: Sample) -> Value:
     if sample.domain not in values:
-        raise InputError(f"the training data has no domain {sample.domain!r}, only {sorted(values)}")
+        raise InputError(
+            f"the training data has no photo of the domain {sample.domain!r}, only of {sorted(values)}: "
+            "add a list that has some"
+        )
     return values[sample.domain]
-
-
-def _cut(sample: Sample, protocol: Protocol) -> Sample:
-    return kitti_crop()(sample, np.random.default_rng()) if protocol.kitti_crop else sample
 
 
 def _known(sample: Sample, protocol: Protocol) -> Float[np.ndarray, " pixels"]:
@@ -156,26 +273,30 @@ def _known(sample: Sample, protocol: Protocol) -> Float[np.ndarray, " pixels"]:
 
 
 def _least_rel(truth: Float[np.ndarray, " pixels"], domain: str) -> float:
-    """The constant c with the least mean |truth - c| / truth: the median of the truth, weighted by its inverse."""
+    """Return the constant c with the least mean |truth - c| / truth: the median of the truth, weighted by 1 / truth."""
     if not len(truth):
-        raise InputError(f"the training data of the domain {domain!r} has no known depth")
+        raise InputError(_nothing_known(domain))
     truth = np.sort(truth.astype(np.float64))
     weight = np.cumsum(1 / truth)
     return float(truth[np.searchsorted(weight, weight[-1] / 2)])
 
 
 def _filled(total: np.ndarray, count: np.ndarray, domain: str) -> DepthArray:
-    """The mean where anything was known, and the mean of its row, or of all, elsewhere."""
+    """Return the mean of each pixel; where nothing was known, that of its row, or of the whole map."""
     if not count.any():
-        raise InputError(f"the training data of the domain {domain!r} has no known depth")
+        raise InputError(_nothing_known(domain))
     with np.errstate(invalid="ignore"):
         mean, rows = total / count, total.sum(1) / count.sum(1)
     rows = np.where(np.isfinite(rows), rows, total.sum() / count.sum())
     return np.where(count > 0, mean, rows[:, None]).astype(np.float32)
 
 
+def _nothing_known(domain: str) -> str:
+    return f"the training data of the domain {domain!r} has no known depth in the protocol's range: give other lists"
+
+
 def _resize_photo(image: Float[torch.Tensor, "3 _ _"], protocol: Protocol) -> Float[torch.Tensor, "3 _ _"]:
-    """The photo at the size the protocol's loader gives it."""
+    """Resize the photo to the size that the protocol gives it before the model, if any."""
     size = protocol.photo_size
     if protocol.photo_short_side is not None:
         height, width = image.shape[1:]

@@ -1,4 +1,4 @@
-"""How a data set is scored, as data: all that makes two people's numbers differ (paper section 4.3, appendix)."""
+"""Protocols: how a data set is scored, as data; all that makes two people's numbers differ (paper section 4.3)."""
 
 import hashlib
 import json
@@ -15,65 +15,69 @@ Crop = Literal["none", "eigen", "eigen-scaled", "garg"]
 
 @dataclass(frozen=True)
 class Protocol:
-    """Everything that decides which pixels are scored, against what, and with which prediction."""
+    """Everything that decides which pixels are scored, against which truth, and with which prediction."""
 
     name: str
-    """Of the protocol; its ``hash`` tells two of one name apart."""
+    """Name of the protocol; ``hash`` tells two protocols of one name apart."""
     max_depth: float
-    """Metres. Pixels whose true depth is not below are not scored; predictions are clipped to it."""
+    """Metres. Only pixels whose true depth is below are scored; predictions are clipped to it."""
     min_depth: float = 1e-3
-    """Metres. Likewise, from below; 0 scores every positive depth."""
+    """Metres. Only pixels whose true depth is above are scored, predictions are clipped to it; 0 scores every positive
+    depth."""
     crop: Crop = "none"
-    """Which part of the true depth is scored: see ``crop_mask``."""
+    """Part of the true depth that is scored; see ``crop_mask``."""
     kitti_crop: bool = False
-    """First the photo and its depth are cut to their bottom centre 352x1216."""
+    """True where the photo and its depth are first cut to their bottom centre, 352x1216 pixels."""
     photo_size: tuple[int, int] | None = None
-    """(height, width) the photo is resized to first, its proportions lost; None: as it is."""
+    """(height, width) to which the photo is resized first, whatever its proportions; None leaves it as it is."""
     photo_short_side: int | None = None
-    """Pixels the photo's shorter side is resized to first, its proportions kept; None: as it is."""
+    """Pixels to which the photo's shorter side is resized first, in proportion; None leaves it as it is."""
     resize: Literal["keep-aspect", "squeeze"] = "keep-aspect"
-    """How the model then resizes the photo: keeping its proportions, or to exactly the trained size."""
+    """How the model then resizes the photo: in proportion, or to exactly the trained size."""
     pad: bool = False
-    """The photo's borders are reflected outwards before the model."""
+    """True where the photo's borders are reflected outwards before the model."""
     flip_average: bool = True
-    """The prediction is the mean of those for the photo and for its mirror image."""
+    """True where the prediction is the mean of those for the photo and for its mirror image."""
     upsampling: Literal["bilinear", "bicubic"] = "bilinear"
-    """From the prediction's to the true depth's size; bilinear has its corners aligned."""
+    """Interpolation from the network's output to the size of the photo; bilinear has its corners aligned."""
     mean: Literal["images", "pixels"] = "images"
     """Metrics are averaged over images, or taken over all pixels at once."""
     use_mask: bool = True
-    """Pixels that the data set marks as invalid are left out."""
+    """True where pixels that the data set marks as invalid are left out."""
     alignment: Literal["none", "median", "disparity"] = "none"
-    """What the prediction is given of the truth before it is scored. none: metric depth. median: the factor that makes
-    the medians equal. disparity: scale and shift of the inverse depth by least squares, for relative depth."""
+    """How the prediction is aligned with the truth before it is scored. none: not at all; it is metric depth. median:
+    by the factor that makes the medians equal. disparity: by scale and shift of the inverse depth, found by least
+    squares, for relative depth."""
     decoding: str = "metres"
-    """What the stored true depth means, in words; the data set's class acts on it."""
+    """Meaning of the stored true depth, in words; the data set's class does the decoding."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.min_depth < self.max_depth:
-            raise InputError(f"need 0 <= min_depth < max_depth, in metres; got {self.min_depth} and {self.max_depth}")
+            raise InputError(
+                f"a protocol needs 0 <= min_depth < max_depth, in metres; got {self.min_depth} and {self.max_depth}"
+            )
         if self.photo_size is not None and self.photo_short_side is not None:
-            raise InputError("a protocol gives the photo's size or its shorter side, not both")
+            raise InputError("a protocol has photo_size or photo_short_side, not both: set one of them to None")
 
     @property
     def hash(self) -> str:
-        """Eight characters that change with every field but the name."""
+        """Eight characters that depend on every field except the name."""
         values = {**asdict(self), "min_depth": float(self.min_depth), "max_depth": float(self.max_depth)}
         del values["name"]
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
     def label(self) -> str:
-        """Name and hash, as every result carries them."""
+        """Name and hash, as they stand beside every result."""
         return f"{self.name}#{self.hash}"
 
 
 def _paper(name: str, max_depth: float, crop: Crop, *, kitti_crop: bool = False, decoding: str) -> Protocol:
-    """As the paper says: its data set table, and "resizing to the training resolution"."""
+    """Make a protocol of the paper: a row of its table of data sets, and "resizing to the training resolution"."""
     return Protocol(name, max_depth, crop=crop, kitti_crop=kitti_crop, resize="squeeze", decoding=decoding)
 
 
-# The paper's data set overview. Its crops are taken as relative to the picture, as for the pictures they were made for.
+# The paper's overview of data sets. Crops are shares of the picture, taken from the pictures they were made for.
 _NYU = _paper("nyu", 10.0, "eigen", decoding="16-bit PNG, millimetres; 0 unknown")
 _SUN = _paper("sunrgbd", 8.0, "eigen-scaled", decoding="16-bit PNG, bits rotated right by 3, millimetres; 0 unknown")
 _IBIMS = _paper("ibims", 10.0, "eigen", decoding="16-bit PNG, value * 50 / 65535 m; masks invalid and transparent")
@@ -86,8 +90,8 @@ _DIML = _paper("diml-outdoor", 80.0, "garg", decoding="16-bit PNG, millimetres; 
 _DIODE_OUT = _paper("diode-outdoor", 80.0, "garg", decoding="float32 metres; validity mask beside it")
 
 _RELEASED = {
-    # Where the released code (``data_mono.py``, ``config.py``, ``misc.py::compute_metrics``) does another thing than
-    # the paper says. "eigen" are rows 45 to 470 and columns 41 to 600 whatever the size of the picture.
+    # Differences of the released code (``data_mono.py``, ``config.py``, ``misc.py::compute_metrics``) from the paper.
+    # "eigen" is rows 45 to 470 and columns 41 to 600, whatever the size of the picture.
     "nyu": {},
     "sunrgbd": {"min_depth": 0.0, "crop": "eigen", "decoding": "16-bit PNG, millimetres; beyond 8 m unknown"},
     "ibims": {"min_depth": 0.0},
@@ -113,26 +117,26 @@ PROTOCOLS: dict[str, Protocol] = {
         f"{protocol.name}-released": replace(protocol, name=f"{protocol.name}-released", **_RELEASED[protocol.name])
         for protocol in _PAPER
     },
-    # For data of your own, by its domain: NYU's and KITTI's, but for photos that keep their proportions, and an Eigen
-    # crop that goes with the size of the photo (on 480x640 it is the same).
+    # For your own data, by its domain: as NYU and KITTI, except that photos keep their proportions and the Eigen crop
+    # is a share of the photo (the same on 480x640).
     "indoor": INDOOR,
     "outdoor": OUTDOOR,
     "plain": PLAIN,
 }
-"""Name → protocol. The ten evaluation sets as the paper says, the same "-released" as its code does, and three for data
-of your own: "indoor", "outdoor", and "plain", which scores every known pixel up to 1 km."""
+"""Name → protocol. The ten evaluation sets as the paper says; with "-released" as its code does; and three for your own
+data: "indoor", "outdoor", and "plain", which scores every known pixel up to 1 km."""
 
 
 def protocol_of(domain: str) -> Protocol:
-    """The protocol of a domain: "plain" for one that is not indoor or outdoor."""
+    """Return the protocol for your own data of a domain: "plain" for one that is neither indoor nor outdoor."""
     return {"indoor": INDOOR, "outdoor": OUTDOOR}.get(domain, PLAIN)
 
 
 def find_protocol(name: str) -> Protocol:
-    """A protocol by name.
+    """Return a protocol of ``PROTOCOLS`` by name.
 
     Raises:
-        InputError: there is none.
+        InputError: there is none of this name.
     """
     if name not in PROTOCOLS:
         raise InputError(f"there is no protocol {name!r}; there are {sorted(PROTOCOLS)}")
@@ -140,11 +144,11 @@ def find_protocol(name: str) -> Protocol:
 
 
 def crop_mask(size: tuple[int, int], crop: Crop) -> Bool[np.ndarray, "height width"]:
-    """True where pixels are scored, for a true depth of (height, width).
+    """Return True where pixels are scored, for a true depth of (height, width).
 
-    "eigen" is rows 45 to 470, columns 41 to 600 whatever the size, as released; "eigen-scaled" the same share of the
-    picture as of 480x640; "garg" the middle columns and lower rows, as shares. (Released
-    ``utils/misc.py::compute_metrics``.) Of a small picture nothing may be left.
+    "eigen" is rows 45 to 470 and columns 41 to 600 whatever the size, as released; nothing is left of a small picture.
+    "eigen-scaled" is the share of the picture that this is of 480x640. "garg" is the middle columns and lower rows, as
+    shares. (Released ``utils/misc.py::compute_metrics``.)
     """
     height, width = size
     rows, columns = {

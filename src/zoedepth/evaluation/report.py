@@ -1,65 +1,54 @@
-"""The report of a run: tables for paper and web, pictures of best, median and worst image, error by depth."""
+"""Write the report of an evaluation: tables for paper and web, pictures of example images, plots of error by depth."""
 
 import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from zoedepth import __version__
+from zoedepth.alignment import resize_depth
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.sample import Samples
 from zoedepth.errors import MissingExtraError
-from zoedepth.evaluation.evaluate import predict
-from zoedepth.evaluation.predictions import Source
+from zoedepth.evaluation.predictions import PredictionSource, predict
 from zoedepth.evaluation.protocols import Protocol
-from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, fit, scored_pixels
-from zoedepth.evaluation.summary import Summary, Table, extras_table, ranges_table, results_table
+from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, scored_pixels
+from zoedepth.evaluation.summary import Summary
+from zoedepth.evaluation.tables import ReportTable
 from zoedepth.images import ImageArray, atomic_path, to_image, write_image
 
 ERROR_LIMIT = 50.0
-"""Per cent of the true depth at which the colours of errors end."""
-
-
-def tables(summaries: Sequence[Summary], published: Mapping[str, Sequence[tuple[str, Any]]]) -> list[Table]:
-    """Three tables a data set: the metrics, what goes beyond them, and REL by depth."""
-    found = []
-    for data in dict.fromkeys(summary.data for summary in summaries):
-        mine = [summary for summary in summaries if summary.data == data]
-        found += [
-            results_table(mine, data, published=published.get(data, ())),
-            extras_table(mine, data),
-            ranges_table(mine, data),
-        ]
-    return found
+"""Error, in percent of the true depth, at which the scale of colours ends on both sides."""
 
 
 def write_report(
     folder: Path,
     summaries: Sequence[Summary],
-    found: Sequence[Table],
+    tables: Sequence[ReportTable],
     *,
     command: str,
     pictures: Mapping[str, Sequence[tuple[str, Path]]],
 ) -> None:
-    """``report.json``, ``report.md`` and ``report.tex``, each whole or not at all.
+    """Write ``report.json``, ``report.md`` and ``report.tex``, each whole or not at all.
 
     Args:
-        folder: of the run.
-        summaries: all of them.
-        found: their tables.
-        command: what was typed.
+        folder: where the scores and pictures of the evaluation are.
+        summaries: of all sources on all data sets.
+        tables: those of ``tables.report_tables``.
+        command: how the evaluation was started; the report quotes it. It may be empty.
         pictures: data set → (caption, file in the folder).
     """
     values = {"zoedepth": __version__, "command": command, "results": [summary.to_json() for summary in summaries]}
     _write(folder / "report.json", json.dumps(values, indent=2) + "\n")
-    _write(folder / "report.tex", "\n".join(table.latex() for table in found))
-    parts = ["# Evaluation", f"zoedepth {__version__}:", f"```bash\n{command}\n```"]
+    _write(folder / "report.tex", "\n".join(table.latex() for table in tables))
+    parts = ["# Evaluation", f"zoedepth {__version__}"]
+    if command:
+        parts[1:] = [f"zoedepth {__version__}:", f"```bash\n{command}\n```"]
     for data in dict.fromkeys(summary.data for summary in summaries):
         parts.append(f"## {data}")
-        parts += [table.markdown() for table in found if table.title.startswith(f"{data}: ")]
+        parts += [table.markdown() for table in tables if table.title.startswith(f"{data}: ")]
         skipped = [s for s in summaries if s.data == data and (s.n_scored < s.n_images or s.n_failed)]
         parts += [
             f"{s.source}: {s.n_images - s.n_scored} images without a known pixel under the protocol, "
@@ -72,9 +61,15 @@ def write_report(
 
 
 def examples(
-    source: Source, data: Samples, scores: Mapping[int, Score], protocols: Mapping[str, Protocol]
+    source: PredictionSource, data: Samples, scores: Mapping[int, Score], protocols: Mapping[str, Protocol]
 ) -> ImageArray | None:
-    """Best, median and worst image by REL: photo, truth, prediction, error; one scale of colours for all depths.
+    """Show best, median and worst image by REL: photo, truth, prediction, error. All depths share a scale of colours.
+
+    Args:
+        source: predicts the chosen photos again.
+        data: photos with depth.
+        scores: number of the image in the data → its score.
+        protocols: domain → protocol.
 
     Returns:
         None where nothing was scored.
@@ -106,7 +101,7 @@ def examples(
         depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
         error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
         true_depth = colorize(_spread(np.where(shown.mask[0].numpy(), truth, np.nan), size), vmin=vmin, vmax=vmax)
-        predicted = colorize(fit(depth, size), vmin=vmin, vmax=vmax)
+        predicted = colorize(resize_depth(depth, size), vmin=vmin, vmax=vmax)
         caption = f"{label}: REL {rel:.3f}" if label else f"REL {rel:.3f}"
         four = [
             panel(to_image(shown.image), size=size, caption=f"{caption}, {shown.name}"[:48]),
@@ -114,13 +109,13 @@ def examples(
             panel(predicted, size=size, bar=depth_bar, caption="predicted"),
             panel(_colored_error(_spread(error, size)), size=size, bar=error_bar, caption="error (red: too far)"),
         ]
-        # Beside each other; in two lines where the photos are as wide as KITTI's.
+        # All four in a row, or two rows of two where the photos are as wide as KITTI's.
         panels += [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
     return sheet(panels)
 
 
 def require_matplotlib() -> None:
-    """Nothing, where the plots can be made.
+    """Check that plots can be made.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -132,7 +127,11 @@ def require_matplotlib() -> None:
 
 
 def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
-    """A plot of REL against true depth, of all sources on one data set, above the share of pixels at that depth.
+    """Plot REL against true depth for all sources on one data set, above the share of pixels at each depth.
+
+    Args:
+        summaries: one for each source.
+        path: PNG to write.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -162,24 +161,24 @@ def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
 
 
 def write_picture(path: Path, picture: ImageArray) -> None:
-    """A sheet as a PNG."""
+    """Write a sheet of pictures as a PNG, whole or not at all."""
     write_image(path, picture)
 
 
 def _colored_error(error: np.ndarray) -> ImageArray:
-    # colorize takes what is not positive for unknown: shifted, 0 error is in the middle.
+    # colorize shows values that are not positive as unknown, so errors are shifted: no error is the middle colour.
     shifted = np.where(np.isfinite(error), error.clip(-ERROR_LIMIT, ERROR_LIMIT) + ERROR_LIMIT + 1, 0)
     return colorize(shifted, vmin=1.0, vmax=2 * ERROR_LIMIT + 1, colormap="Spectral_r")
 
 
 def _spread(x: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Values at another size without inventing any between them; single points of sparse truth grow to be seen."""
+    """Resize by repeating or dropping values, without mixing them. Points of sparse truth grow, to be seen."""
     valid = np.isfinite(x)
     if valid.mean() < 0.3:  # sparse lidar
         for _ in range(2):
             for shift, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
                 moved, there = np.roll(x, shift, axis), np.roll(valid, shift, axis)
-                np.moveaxis(there, axis, 0)[0 if shift == 1 else -1] = False  # not round the picture
+                np.moveaxis(there, axis, 0)[0 if shift == 1 else -1] = False  # nothing wraps around to the other border
                 x = np.where(valid, x, np.where(there, moved, x))
                 valid = valid | there
     rows = np.arange(size[0]) * x.shape[0] // size[0]

@@ -1,4 +1,4 @@
-"""Whether a model knows when it is wrong: its own standard deviation against its errors."""
+"""Score the model's own uncertainty: does its standard deviation go with its errors?"""
 
 from dataclasses import dataclass
 
@@ -6,37 +6,38 @@ import numpy as np
 from jaxtyping import Float
 
 STEPS = 20
+"""Number of equal parts in which the pixels are removed for the area under the sparsification error."""
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """Of one image."""
+class UncertaintyScores:
+    """Numbers of one image that say how far its standard deviations can be believed."""
 
     ause: float
-    """Area under the sparsification error: the REL that is left when the least sure pixels are taken away first, above
-    what is left when the worst are; over the same for pixels taken away by chance. 0: the doubts are in the order of
-    the errors, 1: they are in no order."""
+    """Area under the sparsification error, divided by the area for pixels removed at random. The error is REL of the
+    pixels that remain when the most uncertain are removed first, minus REL of those that remain when the worst are
+    removed first. 0: the uncertainty ranks the pixels as their errors do. 1: it ranks them no better than chance."""
     coverage1: float
     """Share of pixels whose truth lies within one standard deviation (0.68 if errors were normal)."""
     coverage2: float
-    """The same within two (0.95)."""
+    """Share of pixels whose truth lies within two standard deviations (0.95 if errors were normal)."""
 
 
-def calibration(
+def score_uncertainty(
     depth: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"], std: Float[np.ndarray, " pixels"]
-) -> Calibration:
-    """How the uncertainty of the scored pixels goes with their errors; all in metres."""
+) -> UncertaintyScores:
+    """Compare the standard deviation of the scored pixels with their errors; everything in metres."""
     error = np.abs(depth - truth)
     relative = error / truth
-    by_doubt = _left(relative, np.argsort(-(std / depth), kind="stable"))
-    by_error = _left(relative, np.argsort(-relative, kind="stable"))
+    by_uncertainty = _remaining(relative, np.argsort(-(std / depth), kind="stable"))
+    by_error = _remaining(relative, np.argsort(-relative, kind="stable"))
     chance = float(np.mean(relative.mean() - by_error))
-    ause = float(np.mean(by_doubt - by_error)) / chance if chance > 0 else 0.0
-    return Calibration(ause, float(np.mean(error <= std)), float(np.mean(error <= 2 * std)))
+    ause = float(np.mean(by_uncertainty - by_error)) / chance if chance > 0 else 0.0
+    return UncertaintyScores(ause, float(np.mean(error <= std)), float(np.mean(error <= 2 * std)))
 
 
-def _left(relative: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """Mean error of what is left after 0, 1/STEPS, 2/STEPS ... of the pixels are taken away in the given order."""
+def _remaining(relative: np.ndarray, order: np.ndarray) -> np.ndarray:
+    """Return the mean error of what remains after 0, 1/STEPS, 2/STEPS ... of the pixels are removed in this order."""
     n = len(order)
     tails = np.cumsum(relative[order][::-1])[::-1]
     starts = np.arange(STEPS) * n // STEPS

@@ -1,4 +1,4 @@
-"""Pictures of training: what the data says, and what the model says of it."""
+"""Pictures of training: photos, their known depth, and the depth that the model predicts."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -7,9 +7,9 @@ import numpy as np
 import torch.nn.functional as F
 from jaxtyping import Bool
 
+from zoedepth.alignment import align_least_squares, resize_depth
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.sample import Sample
-from zoedepth.evaluation.scoring import fit, least_squares
 from zoedepth.images import DepthArray, ImageArray, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
@@ -20,10 +20,10 @@ _WIDTH = 320
 def predictions_sheet(
     model: DepthModel, samples: Sequence[Sample], *, stage: Literal["relative", "metric"]
 ) -> ImageArray:
-    """A row a sample: the photo, what is known of its depth (grey: nothing), and what the model says.
+    """Draw a row for each sample: the photo, its known depth (grey: unknown), and the predicted depth.
 
-    The depths of a row have one scale of colours, in metres. Stage 1 has disparity in their place, what the model says
-    brought to the truth's scale and shift by least squares.
+    Both depths of a row share one scale of colours, in metres. Stage 1 shows disparity; its prediction gets the scale
+    and shift of the truth by least squares.
     """
     training = model.training
     model.eval()
@@ -35,7 +35,7 @@ def predictions_sheet(
 
 
 def data_sheet(samples: Sequence[Sample]) -> ImageArray:
-    """A row a sample: the photo, and what is known of its depth (grey: nothing)."""
+    """Draw a row for each sample: the photo, and its known depth (grey: unknown)."""
     return sheet(
         [_row(sample, *_truth(sample, as_disparity=False), None, metres=sample.kind == "depth") for sample in samples]
     )
@@ -45,17 +45,17 @@ def _prediction_row(predictor: Predictor, sample: Sample, stage: Literal["relati
     photo = to_image(sample.image)
     truth, known = _truth(sample, as_disparity=stage == "relative")
     if stage == "relative":
-        said = fit(predictor.relative(photo), truth.shape)
-        said = least_squares(said, truth, known) if known.any() else said
+        said = resize_depth(predictor.relative(photo), truth.shape)
+        said = align_least_squares(said, truth, known) if known.any() else said
     else:
         names = [domain.name for domain in predictor.model.config.domains]
         domain = sample.domain if sample.domain in names and len(names) > 1 else None
-        said = fit(predictor(photo, domain=domain).depth, truth.shape)
+        said = resize_depth(predictor(photo, domain=domain).depth, truth.shape)
     return _row(sample, truth, known, said, metres=stage == "metric")
 
 
 def _truth(sample: Sample, *, as_disparity: bool) -> tuple[DepthArray, Bool[np.ndarray, "height width"]]:
-    """The target at the width of a panel, and where it is known."""
+    """Return the target at the width of a panel, and a mask of its known pixels."""
     scale = _WIDTH / sample.image.shape[2]
     size = (max(1, round(sample.image.shape[1] * scale)), max(1, round(sample.image.shape[2] * scale)))
     truth, known = (

@@ -1,4 +1,4 @@
-"""Validation while training, on pairs held out from the training data."""
+"""Validate while training, on pairs held out from the training data."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -7,12 +7,12 @@ from typing import Literal
 
 import numpy as np
 
+from zoedepth.alignment import align_least_squares, resize_depth
 from zoedepth.data.augment import to_disparity
 from zoedepth.data.sample import Sample, Samples
-from zoedepth.evaluation.evaluate import predict
-from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.predictions import ModelSource, predict
 from zoedepth.evaluation.protocols import protocol_of
-from zoedepth.evaluation.scoring import Score, fit, least_squares, score
+from zoedepth.evaluation.scoring import Score, score
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
@@ -21,11 +21,18 @@ from zoedepth.predict import Predictor
 def validate(
     model: DepthModel, validation: Mapping[str, Samples], *, stage: Literal["relative", "metric"]
 ) -> dict[str, float]:
-    """``validation/{data}/{metric}`` of each held-out set.
+    """Measure the model on each held-out data set.
 
-    Stage 2: REL, RMSE and delta1 under the paper's protocol, and the share of images sent to the right head. Stage 1:
-    RMSE of the disparity, whose known values are scaled to [0, 1], after the prediction has got the scale and shift of
-    least squares (MiDaS v3.1 compares its trainings so).
+    Args:
+        model: the model; it is left in the mode (training or evaluation) that it was in.
+        validation: name of a data set → its held-out samples.
+        stage: "metric" measures REL, RMSE and delta1 under the paper's protocol, and the share of images sent to the
+            right head ("router"). "relative" measures the RMSE of the disparity ("disparity_rmse"): the prediction gets
+            its scale and shift by least squares, and the true disparity of each image is scaled to [0, 1], as MiDaS
+            v3.1 compares its trainings.
+
+    Returns:
+        ``validation/{name}/{metric}`` → value. Metrics without any pixel to measure are left out.
     """
     training = model.training
     model.eval()
@@ -64,6 +71,6 @@ def _relative(model: DepthModel, samples: Iterator[Sample]) -> dict[str, float]:
             truth = to_disparity()(sample, np.random.default_rng())  # draws nothing
             known = truth.mask[0].numpy()
             target = truth.target[0].numpy().astype(np.float64)
-            said = fit(predictor.relative(sample.image), target.shape).astype(np.float64)
-            errors.append(float(np.sqrt(np.mean((least_squares(said, target, known) - target)[known] ** 2))))
+            said = resize_depth(predictor.relative(sample.image), target.shape).astype(np.float64)
+            errors.append(float(np.sqrt(np.mean((align_least_squares(said, target, known) - target)[known] ** 2))))
     return {"disparity_rmse": fmean(errors)} if errors else {}

@@ -1,7 +1,7 @@
-"""What the paper printed: its result tables, and its tables of data sets, models and parameters. No torch here.
+"""Read the paper's numbers: its tables of results, data sets, models and parameters. Nothing here imports torch.
 
 ``assets/paper.json`` has them row by row as in the paper. Scores are Decimals, which keep the printed digits: ``str``
-of one is what the paper shows, ``float`` is for computing.
+gives what the paper shows, ``float`` is for computing.
 """
 
 import json
@@ -17,56 +17,56 @@ from zoedepth.evaluation.improvement import MRI_METRICS, mri_datasets, mri_metri
 from zoedepth.weights.releases import ASSETS
 
 ALL = "all"
-"""Stands for the data sets together: the key of mRI_D."""
+"""Key of mRI_D, which is a mean over data sets, where other scores have the name of one data set."""
 
 
 @dataclass(frozen=True)
-class Metric:
-    """A column of the paper's tables."""
+class PaperMetric:
+    """A metric in the paper's tables."""
 
     name: str
     """Field of ``zoedepth.metrics.Metrics``, or "mri_datasets" (mRI_D), "mri_metrics" (mRI_theta)."""
     symbol: str
-    """As printed."""
+    """Its name as printed."""
     higher_is_better: bool
 
 
 @dataclass(frozen=True)
-class Row:
-    """One method's line in a table."""
+class PaperRow:
+    """A method's row in a table."""
 
     method: str
-    """As printed, without its mark."""
+    """Name as printed, without its mark."""
     note: str
-    """Its mark, e.g. "†", or empty; the table's notes say what it means."""
+    """Mark of the method, e.g. "†", or empty; the table's notes say what it means."""
     values: Mapping[tuple[str, str], Decimal | None]
     """(Data set, metric) → score, None where the paper has a dash. RMSE is in metres, deltas are shares of 1."""
     mri: Mapping[str, Decimal | None]
-    """Data set → mean relative improvement, percent; of mRI_D the key is ``ALL``. Empty in tables without."""
+    """Data set, or ``ALL`` for mRI_D → mean relative improvement, percent. Empty where the table has none."""
 
     @property
     def name(self) -> str:
-        """Method and mark: tells apart the models of one name."""
+        """Method and mark, which tell models of one name apart."""
         return self.method + self.note
 
 
 @dataclass(frozen=True)
-class Table:
-    """One of the paper's result tables."""
+class PaperTable:
+    """One of the paper's tables of results."""
 
     id: str
-    """Of the main text "table-1" to "table-6", of the appendix the label, e.g. "sunrgbd-full"."""
+    """"table-1" to "table-6" in the main text; the label in the appendix, e.g. "sunrgbd-full"."""
     title: str
     notes: tuple[str, ...]
-    """What its footnote marks mean, and what holds for all rows."""
+    """Meaning of the footnote marks, and statements that hold for all rows."""
     columns: tuple[tuple[str, str], ...]
-    """(Data set, metric) as printed, those of mRI included."""
-    rows: tuple[Row, ...]
+    """(Data set, metric) of each column in printed order, including mRI."""
+    rows: tuple[PaperRow, ...]
 
 
 @dataclass(frozen=True)
-class Dataset:
-    """A row of the overview of data sets (appendix)."""
+class PaperDataset:
+    """A row of the paper's overview of data sets (appendix)."""
 
     id: str
     name: str
@@ -83,26 +83,26 @@ class Dataset:
     """Metres."""
     crop: str
     note: str
-    """Or empty. ‡: the sample is cropped first, and the Garg crop is scaled to what is left."""
+    """Mark, or empty. ‡: the sample is cropped first, and the Garg crop is scaled to the rest."""
 
 
 @dataclass(frozen=True)
-class Model:
-    """A row of the table of models (appendix)."""
+class PaperModel:
+    """A row of the paper's table of models (appendix)."""
 
     name: str
     note: str
-    """Or empty. †: a single metric head for both data sets."""
+    """Mark, or empty. †: a single metric head for both data sets."""
     relative_training: str | None
-    """Data sets of the relative pre-training; None: without."""
+    """Data sets of the relative pre-training; None where there was none."""
     metric_training: str
     """Data sets of the metric fine-tuning."""
     heads: int
 
 
 @dataclass(frozen=True)
-class Parameters:
-    """A row of the comparison of sizes (appendix)."""
+class PaperSize:
+    """A row of the paper's comparison of sizes (appendix)."""
 
     method: str
     encoder: str | None
@@ -112,47 +112,47 @@ class Parameters:
 
 @dataclass(frozen=True)
 class MriEntry:
-    """A mean relative improvement as printed, percent, with the printed scores that it is made of."""
+    """A mean relative improvement as printed, percent, with the printed scores that it is computed from."""
 
     table: str
     dataset: str
-    """``ALL`` for mRI_D."""
+    """Name of the data set; ``ALL`` for mRI_D."""
     method: str
     printed: Decimal
     scores: Mapping[str, Decimal]
-    """Data set → REL for mRI_D, metric → score on the data set for mRI_theta."""
+    """Scores of the method. For mRI_D: data set → REL. For mRI_theta: metric → score on the data set."""
     reference: Mapping[str, Decimal]
-    """The same of the reference, NeWCRFs."""
+    """Scores of the reference, NeWCRFs, with the same keys."""
 
     @property
     def recomputed(self) -> float:
-        """What our functions make of the printed scores, percent."""
+        """Mean relative improvement that our functions compute from the printed scores, percent."""
         mean = mri_datasets if self.dataset == ALL else mri_metrics
         return mean(_floats(self.scores), _floats(self.reference))
 
     @property
     def difference(self) -> float:
-        """Printed less recomputed, percent points."""
+        """Printed minus recomputed, percentage points."""
         return float(self.printed) - self.recomputed
 
 
 @cache
-def metrics() -> Mapping[str, Metric]:
-    """Name → metric, of all columns of all tables."""
-    return MappingProxyType({row["name"]: Metric(**row) for row in _paper()["metrics"]})
+def metrics() -> Mapping[str, PaperMetric]:
+    """Return name → metric, for all columns of all tables."""
+    return MappingProxyType({row["name"]: PaperMetric(**row) for row in _paper()["metrics"]})
 
 
 @cache
-def tables() -> Mapping[str, Table]:
-    """Id → table, in the order of the paper."""
+def tables() -> Mapping[str, PaperTable]:
+    """Return id → table, in the order of the paper."""
     return MappingProxyType({table["id"]: _table(table) for table in _paper()["tables"]})
 
 
 def method_rows(dataset: str) -> list[tuple[str, Mapping[str, Decimal]]]:
-    """What the paper has on a data set: (method, field of ``Metrics`` → score); nothing for one it does not have.
+    """Return the paper's scores on a data set as (method, field of ``Metrics`` → score); empty where it has none.
 
     Each method is there once, from the table with most metrics on this data set; those tables come first. The variants
-    of head and router in Tables 5 and 6 are methods too. A score that the paper does not have is left out.
+    of head and router in Tables 5 and 6 count as methods, too. A score that the paper does not have is left out.
     """
     found: dict[str, tuple[str, Mapping[str, Decimal]]] = {}
     for table in sorted(tables().values(), key=lambda table: -len({m for name, m in table.columns if name == dataset})):
@@ -164,7 +164,11 @@ def method_rows(dataset: str) -> list[tuple[str, Mapping[str, Decimal]]]:
 
 
 def numbers(dataset: str, metric: str) -> list[tuple[str, Decimal]]:
-    """(Method, score) of all methods that the paper scores on a data set with a metric, a field of ``Metrics``.
+    """Return (method, score) for all methods that the paper scores on a data set with a metric.
+
+    Args:
+        dataset: id of a data set of the paper, e.g. "nyu".
+        metric: field of ``Metrics``, e.g. "rel".
 
     Raises:
         InputError: the paper has no such data set or metric.
@@ -176,7 +180,7 @@ def numbers(dataset: str, metric: str) -> list[tuple[str, Decimal]]:
 
 
 def mri_entries() -> list[MriEntry]:
-    """All mean relative improvements that the paper prints (Tables 2, 3 and 4)."""
+    """Return all mean relative improvements that the paper prints (Tables 2, 3 and 4)."""
     entries = []
     for table in tables().values():
         for row in table.rows:
@@ -189,30 +193,30 @@ def mri_entries() -> list[MriEntry]:
 
 
 @cache
-def datasets() -> Mapping[str, Dataset]:
-    """Id → data set: fine-tuned on or evaluated on, as the appendix describes them."""
+def datasets() -> Mapping[str, PaperDataset]:
+    """Return id → data set, for those that the paper fine-tunes or evaluates on, as the appendix describes them."""
     return MappingProxyType({row["id"]: _dataset(row) for row in _paper()["datasets"]})
 
 
 @cache
-def models() -> tuple[Model, ...]:
-    """The twelve models of the appendix."""
-    return tuple(Model(**{"note": "", **row}) for row in _paper()["models"])
+def models() -> tuple[PaperModel, ...]:
+    """Return the twelve models of the appendix."""
+    return tuple(PaperModel(**{"note": "", **row}) for row in _paper()["models"])
 
 
 @cache
-def parameters() -> tuple[Parameters, ...]:
-    """Sizes of the models and of prior work, as the appendix compares them."""
-    return tuple(Parameters(**row) for row in _paper()["parameters"])
+def parameters() -> tuple[PaperSize, ...]:
+    """Return the sizes of the models and of prior work, as the appendix compares them."""
+    return tuple(PaperSize(**row) for row in _paper()["parameters"])
 
 
 _MRI = ("mri_datasets", "mri_metrics")
 
 _ALIASES = {"NeWCRF": "NeWCRFs", "ZoeD-M12-N (B-L)": "ZoeD-M12-N"}
-"""The appendix's names of methods that the main tables call otherwise."""
+"""Names of methods in the appendix → their names in the main tables."""
 
 _REFERENCES = ("NeWCRFs-X-NK†", "NeWCRFs")
-"""What mRI is relative to, in Table 2 and in Tables 3 and 4."""
+"""Methods that mRI is relative to, in Table 2 and in Tables 3 and 4."""
 
 
 @cache
@@ -220,15 +224,15 @@ def _paper() -> dict[str, Any]:
     return json.loads((ASSETS / "paper.json").read_text(encoding="utf-8"), parse_float=Decimal)
 
 
-def _table(table: dict[str, Any]) -> Table:
+def _table(table: dict[str, Any]) -> PaperTable:
     columns = tuple((dataset, metric) for dataset, metric in table["columns"])
     rows = tuple(_row(row, columns) for row in table["rows"])
-    return Table(table["id"], table["title"], tuple(table.get("notes", ())), columns, rows)
+    return PaperTable(table["id"], table["title"], tuple(table.get("notes", ())), columns, rows)
 
 
-def _row(row: dict[str, Any], columns: tuple[tuple[str, str], ...]) -> Row:
+def _row(row: dict[str, Any], columns: tuple[tuple[str, str], ...]) -> PaperRow:
     cells = dict(zip(columns, row["values"], strict=True))
-    return Row(
+    return PaperRow(
         row["method"],
         row.get("note", ""),
         MappingProxyType({column: value for column, value in cells.items() if column[1] not in _MRI}),
@@ -236,12 +240,12 @@ def _row(row: dict[str, Any], columns: tuple[tuple[str, str], ...]) -> Row:
     )
 
 
-def _dataset(row: dict[str, Any]) -> Dataset:
+def _dataset(row: dict[str, Any]) -> PaperDataset:
     depths = {"min_depth": float(row["min_depth"]), "max_depth": float(row["max_depth"])}
-    return Dataset(**{"note": "", **row, **depths})
+    return PaperDataset(**{"note": "", **row, **depths})
 
 
-def _mri_scores(row: Row, dataset: str) -> Mapping[str, Decimal]:
+def _mri_scores(row: PaperRow, dataset: str) -> Mapping[str, Decimal]:
     if dataset == ALL:
         found = {name: value for (name, _), value in row.values.items()}
     else:

@@ -7,8 +7,8 @@ from decimal import Decimal
 import pytest
 
 from zoedepth.errors import InputError
+from zoedepth.evaluation.paper_numbers import datasets, method_rows, metrics, models, numbers, parameters, tables
 from zoedepth.evaluation.protocols import PROTOCOLS
-from zoedepth.evaluation.published import datasets, method_rows, metrics, models, numbers, parameters, tables
 from zoedepth.metrics import HIGHER_IS_BETTER, Metrics
 from zoedepth.presets import PRESETS
 

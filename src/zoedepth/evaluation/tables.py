@@ -1,0 +1,164 @@
+"""Set summaries in tables: metrics, further measures, and errors by depth; as Markdown and LaTeX."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+
+from zoedepth.evaluation.protocols import PROTOCOLS
+from zoedepth.evaluation.scoring import RANGES
+from zoedepth.evaluation.summary import Summary
+from zoedepth.metrics import HEADINGS, HIGHER_IS_BETTER
+
+NOT_RUN = "not run"
+
+COLUMNS = ("rel", "rmse", "log10", "delta1", "delta2", "delta3", "silog")
+"""Fields of ``Metrics`` that the table of results shows."""
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """Text in rows, to be shown on the console, in Markdown or in LaTeX."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    """Cells, as many a row as the header has."""
+    best: frozenset[tuple[int, int]] = frozenset()
+    """(row, column) of the cells to set in bold: the best value of a column."""
+    note: str = ""
+    """A sentence that stands below the table."""
+
+    def markdown(self) -> str:
+        """Write the table as GitHub's Markdown."""
+        body = [
+            [f"**{cell}**" if (i, j) in self.best else cell for j, cell in enumerate(row)]
+            for i, row in enumerate(self.rows)
+        ]
+        lines = [self.header, ["---", *["---:"] * (len(self.header) - 1)], *body]
+        text = "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+        note = f"\n\n{self.note}" if self.note else ""
+        return f"**{self.title}**\n\n{text}{note}\n"
+
+    def latex(self) -> str:
+        """Write the table as LaTeX that uses the package booktabs."""
+        body = [
+            " & ".join(rf"\textbf{{{_tex(cell)}}}" if (i, j) in self.best else _tex(cell) for j, cell in enumerate(row))
+            for i, row in enumerate(self.rows)
+        ]
+        lines = [
+            r"\begin{table}[t]",
+            r"\centering",
+            rf"\begin{{tabular}}{{l{'r' * (len(self.header) - 1)}}}",
+            r"\toprule",
+            " & ".join(map(_tex, self.header)) + r" \\",
+            r"\midrule",
+            *(line + r" \\" for line in body),
+            r"\bottomrule",
+            r"\end{tabular}",
+            rf"\caption{{{_tex('. '.join(filter(None, (self.title, self.note))))}}}",
+            r"\end{table}",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _tex(text: str) -> str:
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    return "".join(special.get(c, f"\\{c}" if c in "&%$#_{}" else c) for c in text)
+
+
+def report_tables(
+    summaries: Sequence[Summary], paper: Mapping[str, Sequence[tuple[str, Mapping[str, object]]]]
+) -> list[ReportTable]:
+    """Make three tables for each data set: the metrics, further measures, and REL by true depth.
+
+    Args:
+        summaries: of all sources on all data sets.
+        paper: data set → (method, metric → value as printed) of the paper.
+    """
+    found = []
+    for data in dict.fromkeys(summary.data for summary in summaries):
+        mine = [summary for summary in summaries if summary.data == data]
+        found += [
+            results_table(mine, data, paper=paper.get(data, ())),
+            extras_table(mine, data),
+            ranges_table(mine, data),
+        ]
+    return found
+
+
+def results_table(
+    summaries: Sequence[Summary], data: str, *, paper: Sequence[tuple[str, Mapping[str, object]]] = ()
+) -> ReportTable:
+    """Set the metrics of all sources on one data set, best values in bold; the paper's rows stand below.
+
+    Args:
+        summaries: those of this data set.
+        data: its name.
+        paper: (method, metric → value as printed) of the paper; they are not compared with ours.
+    """
+    rows, values = [], []
+    for summary in summaries:
+        metrics = None if summary.metrics is None else asdict(summary.metrics)
+        values.append(metrics)
+        cells = [NOT_RUN if metrics is None else _number(name, metrics[name]) for name in COLUMNS]
+        aligned = "" if summary.alignment == "none" else f" ({summary.alignment}-aligned)"
+        router = "" if summary.router is None else f"{100 * summary.router:.1f} %"
+        rows.append((f"{summary.source}{aligned}", str(summary.n_scored), *cells, router))
+    for method, numbers in paper:
+        cells = ["-" if numbers.get(name) is None else str(numbers[name]) for name in COLUMNS]  # as printed
+        run = any(summary.source.lower() == method.lower() for summary in summaries)
+        rows.append((f"{method} (paper)", "" if run else NOT_RUN, *cells, ""))
+    best = set()
+    comparable = [i for i, summary in enumerate(summaries) if values[i] is not None and summary.alignment == "none"]
+    if len(comparable) > 1:
+        for j, name in enumerate(COLUMNS, start=2):
+            shown = {i: values[i][name] for i in comparable}
+            top = max(shown.values()) if name in HIGHER_IS_BETTER else min(shown.values())
+            best |= {(i, j) for i in comparable if rows[i][j] == _number(name, top)}
+    labels = sorted({label for summary in summaries for label in summary.protocols.values()})
+    kind = {summary.mean for summary in summaries}
+    title = f"{data}: protocol {', '.join(labels)}; mean over {' and '.join(sorted(kind))}"
+    header = ("source", "images", *(HEADINGS[name] for name in COLUMNS), "router")
+    note = ""
+    if paper:
+        theirs = f"{data}#{PROTOCOLS[data].hash}" if data in PROTOCOLS else "its own"
+        note = f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."
+    return ReportTable(title, header, tuple(rows), frozenset(best), note)
+
+
+def extras_table(summaries: Sequence[Summary], data: str) -> ReportTable:
+    """Set the measures that the paper does not have: the other kind of mean, sharp edges, and uncertainty."""
+    rows = []
+    for summary in summaries:
+        other, found = summary.other_mean, summary.uncertainty
+        rows.append((
+            summary.source,
+            "-" if other is None else _number("rel", other.rel),
+            "-" if other is None else _number("rmse", other.rmse),
+            "-" if summary.metrics is None else _number("sq_rel", summary.metrics.sq_rel),
+            "-" if summary.metrics is None else _number("rmse_log", summary.metrics.rmse_log),
+            "-" if summary.boundary_f1 is None else f"{summary.boundary_f1:.3f}",
+            f"{found['ause']:.3f}" if found else "-",
+            f"{100 * found['coverage1']:.0f} %" if found else "-",
+            f"{100 * found['coverage2']:.0f} %" if found else "-",
+        ))  # fmt: skip
+    other = "pixels" if all(summary.mean == "images" for summary in summaries) else "images"
+    header = ("source", f"REL over {other}", f"RMSE over {other}", "SqRel", "RMSE log", "edge F1", "AUSE",
+              "within 1 std", "within 2 std")  # fmt: skip
+    return ReportTable(f"{data}: more of the same images", header, tuple(rows))
+
+
+def ranges_table(summaries: Sequence[Summary], data: str) -> ReportTable:
+    """Set REL by true depth, over all pixels of all images at once."""
+    names = [f"{low:g}-{high:g}" for low, high in pairwise(RANGES)]
+    names = [name for name in names if any(name in summary.ranges for summary in summaries)]
+    shares = next((summary.ranges for summary in summaries if summary.ranges), {})
+    rows = [("share of pixels", *(f"{100 * shares[name]['share']:.1f} %" if name in shares else "-" for name in names))]
+    for summary in summaries:
+        cells = (f"{summary.ranges[name]['rel']:.3f}" if name in summary.ranges else "-" for name in names)
+        rows.append((summary.source, *cells))
+    return ReportTable(f"{data}: REL by true depth, pooled over pixels", ("metres", *names), tuple(rows))
+
+
+def _number(name: str, value: float) -> str:
+    return f"{value:.2f}" if name == "silog" else f"{value:.3f}"
