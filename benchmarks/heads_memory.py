@@ -25,10 +25,11 @@ from torch import Tensor, nn
 from zoedepth.build import build_model
 from zoedepth.config import HEAD_CONFIGS, INDOOR, AnyModelConfig
 from zoedepth.data.sample import Batch
-from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads import HEADS
 from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.interface import DepthOutput
+from zoedepth.model.upsample import upsample
 from zoedepth.presets import BASELINES, ZOED_LITE
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
+from zoedepth.baselines.baseline import IMAGENET_MEAN, IMAGENET_STD
 from zoedepth.build import build_model
 from zoedepth.config import AnyModelConfig, AttractorConfig, ModelConfig
 from zoedepth.download import download
@@ -31,8 +32,6 @@ MIDAS_MODELS = {
     "DPT_Swin_L_384": "swin_large_patch4_window12_384",
 }
 """The original's ``midas_model_type`` → the encoder in timm."""
-
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
 class OriginalInterface(nn.Module):

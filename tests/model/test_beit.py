@@ -1,17 +1,22 @@
-from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
-from zoedepth.config import EncoderConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.beit import BeitNetwork, resize_position_table
 
 
-@pytest.fixture(scope="module")
-def network(tiny_config: ModelConfig) -> BeitNetwork:
+def build(**changes: Any) -> BeitNetwork:
+    """A random network of four blocks, every width as small as it goes."""
     torch.manual_seed(0)
-    network = BeitNetwork(tiny_config.encoder).eval()
+    options = {"size": (64, 64), "taps": (0, 1, 2, 3), "width": 32, "depth": 4, "heads": 4, **changes}
+    return BeitNetwork("beit_base_patch16_384", **options).eval()
+
+
+@pytest.fixture(scope="module")
+def network() -> BeitNetwork:
+    network = build()
     with torch.no_grad():  # far from the small numbers it starts with, so that every part of a block shows
         for name, weight in network.named_parameters():
             if name.startswith("position_tables") or "gamma" in name or "bias" in name:
@@ -71,11 +76,9 @@ def test_any_size_native_or_not_square_or_not(network: BeitNetwork, size: tuple[
 
 
 @torch.no_grad()
-def test_a_network_of_another_native_size_with_the_resized_tables_is_the_same_network(tiny_config: ModelConfig):
-    """What the first does by resizing at 64x96, the second does natively."""
-    torch.manual_seed(0)
-    first = BeitNetwork(tiny_config.encoder).eval()
-    second = BeitNetwork(replace(tiny_config.encoder, size=(64, 96))).eval()
+def test_a_network_of_another_native_size_with_the_resized_tables_is_the_same_network():
+    """At 64x96 the first network resizes its tables; the second has that size natively."""
+    first, second = build(), build(size=(64, 96))
     state = first.state_dict()
     for name in [name for name in state if name.startswith("position_tables")]:
         state[name] = resize_position_table(10 * state[name], (4, 4), (4, 6))
@@ -96,12 +99,22 @@ def test_positions_matter(network: BeitNetwork):
     assert (straight.flip(3) - turned).abs().max() > 0.1
 
 
-def test_taps_choose_the_blocks_and_later_blocks_are_dropped(tiny_config: ModelConfig):
-    config = replace(tiny_config.encoder, depth=(8,), taps=(0, 2, 3, 5))
-    torch.manual_seed(0)
-    network = BeitNetwork(config).eval()
+@torch.no_grad()
+def test_taps_choose_the_blocks_and_later_blocks_are_dropped():
+    network = build(depth=8, taps=(0, 2, 3, 5))
     assert len(network.blocks) == len(network.position_tables) == 6
-    assert len(network(torch.rand(1, 3, 64, 64))[0]) == 4
+    pixels = torch.rand(1, 3, 64, 64)
+    maps, _ = network(pixels)
+    assert len(maps) == 4
+    for x, block in zip(maps, (0, 2, 3, 5), strict=True):
+        expected = reference_tokens(network, pixels, block)
+        assert torch.allclose(x[0], expected[1:].T.unflatten(1, (4, 4)), atol=1e-4)
+
+
+def test_width_of_the_mlps_is_exact():
+    """timm takes a ratio to the width, which rounding must not change."""
+    for mlp_width in (1, 63, 97, 128):
+        assert build(mlp_width=mlp_width).blocks[0].mlp.fc1.out_features == mlp_width
 
 
 def test_every_weight_is_used(network: BeitNetwork):
@@ -110,9 +123,9 @@ def test_every_weight_is_used(network: BeitNetwork):
     assert [name for name, p in network.named_parameters() if p.grad is None or not p.grad.any()] == []
 
 
-def test_tap_beyond_the_last_block_is_an_error(tiny_config: ModelConfig):
-    with pytest.raises(InputError, match=r"tap 9 .* 4 blocks"):
-        BeitNetwork(replace(tiny_config.encoder, taps=(0, 1, 2, 9)))
+def test_tap_beyond_the_last_block_is_an_error():
+    with pytest.raises(InputError, match=r"encoder\.taps are \(0, 1, 2, 4\).* has 4 blocks\. Take taps from 0 to 3"):
+        build(taps=(0, 1, 2, 4))
 
 
 @pytest.mark.parametrize(
@@ -120,7 +133,6 @@ def test_tap_beyond_the_last_block_is_an_error(tiny_config: ModelConfig):
     [("beit_large_patch16_384", 384, 2212, 16, 24), ("beit_base_patch16_384", 384, 2212, 12, 12)],
 )
 def test_position_tables_have_the_published_shape(name: str, side: int, rows: int, heads: int, blocks: int):
-    config = EncoderConfig(name, "beit", size=(side, side), taps=(0, 1, 2, blocks - 1), channels=(8, 8, 8, 8))
     with torch.device("meta"):
-        network = BeitNetwork(config)
+        network = BeitNetwork(name, size=(side, side), taps=(0, 1, 2, blocks - 1))
     assert [tuple(table.shape) for table in network.position_tables] == [(rows, heads)] * blocks

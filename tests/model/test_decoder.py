@@ -2,7 +2,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from zoedepth.model.decoder import Decoder, Fusion, Reassemble, RelativeHead, ResidualUnit, upsample
+from zoedepth.config import DecoderConfig
+from zoedepth.model.decoder import Decoder, Fusion, Reassemble, RelativeHead, ResidualUnit
 from zoedepth.model.encoder import EncoderFeatures
 
 WIDTHS = (8, 10, 12, 14)
@@ -13,11 +14,9 @@ def token_decoder(*, output_stride: int = 1) -> Decoder:
     return Decoder(
         (20,) * 4,
         (16,) * 4,
+        DecoderConfig(WIDTHS, features=5, output_stride=output_stride),
         has_readout=True,
         reassembled_channels=(4, 6, 8, 8),
-        widths=WIDTHS,
-        features=5,
-        output_stride=output_stride,
     ).eval()
 
 
@@ -33,11 +32,9 @@ def pyramid_decoder(*, output_stride: int = 1) -> Decoder:
     return Decoder(
         channels,
         (4, 8, 16, 32),
+        DecoderConfig(WIDTHS, features=5, output_stride=output_stride),
         has_readout=False,
         reassembled_channels=channels,
-        widths=WIDTHS,
-        features=5,
-        output_stride=output_stride,
     ).eval()
 
 
@@ -164,9 +161,3 @@ def test_relative_head_doubles_the_size_only_at_stride_1():
         last, relative = RelativeHead(8, features=5, upsample=grows)(x)
         assert last.shape == (1, 5, *size)
         assert relative.shape == (1, 1, *size)
-
-
-def test_upsample_puts_corners_on_corners():
-    x = torch.tensor([[[[0.0, 1.0], [2.0, 3.0]]]])
-    assert upsample(x, torch.Size([3, 3]))[0, 0].tolist() == [[0.0, 0.5, 1.0], [1.0, 1.5, 2.0], [2.0, 2.5, 3.0]]
-    assert torch.equal(upsample(x, torch.Size([2, 2])), x)

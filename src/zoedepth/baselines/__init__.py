@@ -1,4 +1,4 @@
-"""The systems the paper compares with, each as its authors built it, a file each; ``BASELINES`` lists them."""
+"""The systems the paper compares with, each as its authors built it, in a file of its own. ``BASELINES`` lists them."""
 
 from zoedepth.baselines.adabins import AdaBins
 from zoedepth.baselines.baseline import Baseline
@@ -27,4 +27,4 @@ BASELINES: dict[type[NetworkConfig], type[Baseline]] = {
     BtsNetworkConfig: Bts,
     DornNetworkConfig: Dorn,
 }
-"""The config class of a network → the model."""
+"""Config class of a network → the class of the model."""

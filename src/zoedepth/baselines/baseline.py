@@ -1,4 +1,4 @@
-"""A baseline behind the interface of ZoeDepth."""
+"""Baselines behind the interface of ZoeDepth."""
 
 from abc import abstractmethod
 
@@ -12,28 +12,35 @@ from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
 from zoedepth.model.router import Routing
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""Of RGB in [0, 1]."""
+"""Mean and standard deviation of ImageNet's photos, RGB in [0, 1]."""
 
 
 class Baseline(DepthModel):
-    """A system the paper compares with. Subclasses build ``encoder`` and whatever follows, and give ``predict``.
+    """A system the paper compares with. Subclasses build ``encoder`` and all that follows, and define ``predict``.
 
     Attributes:
-        mean, std: what the encoder was trained to see subtracted from, and divided out of, RGB in [0, 1].
-        domain: its depth range.
+        domain: the domain that the one head is for.
     """
 
-    mean: tuple[float, float, float] = IMAGENET_MEAN
-    std: tuple[float, float, float] = IMAGENET_STD
+    mean: Tensor
+    std: Tensor
 
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__()
         self.config = config
         self.domain: Domain = config.domains[0]
+        self.register_buffer("mean", torch.empty(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.empty(3, 1, 1), persistent=False)
+        self.init_non_persistent_buffers()
+
+    def init_non_persistent_buffers(self) -> None:
+        """Fill the buffers that no checkpoint holds, after the module was built without memory (timm's name for it)."""
+        for buffer, values in ((self.mean, IMAGENET_MEAN), (self.std, IMAGENET_STD)):
+            buffer.copy_(torch.tensor(values)[:, None, None])
 
     @abstractmethod
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels, at any resolution."""
+        """Predict the depth of normalised pixels, at any resolution."""
 
     def forward(
         self,
@@ -43,10 +50,8 @@ class Baseline(DepthModel):
         return_std: bool = False,
         return_bins: bool = False,
     ) -> DepthOutput:
-        """Depth of a batch, as ``ZoeDepth.forward`` gives it; there is one head."""
+        """Predict the depth of a batch, as ``ZoeDepth.forward`` does; there is one head."""
         self.check(pixels, domain)
-        size = pixels.shape[-2:]
-        mean, std = (pixels.new_tensor(values)[:, None, None] for values in (self.mean, self.std))
-        answer = self.predict((pixels - mean) / std).answer(std=return_std, bins=return_bins)
+        head = self.predict((pixels - self.mean) / self.std)
         only = torch.zeros(pixels.shape[0], dtype=torch.long, device=pixels.device)
-        return depth_output(answer, size, Routing(only, None), None)
+        return depth_output(head, None, Routing(only, None), size=pixels.shape[-2:], std=return_std, bins=return_bins)

@@ -8,20 +8,19 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
-from zoedepth.baselines.encoder import FeatureEncoder
 from zoedepth.config import BaselineConfig, BtsNetworkConfig
-from zoedepth.model.encoder import TimmEncoder
 from zoedepth.model.heads.bts import PlanarGuidance, convolution, narrowing
 from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.timm_encoder import FeatureEncoder, TimmEncoder, create_network
 
 RATES = (3, 6, 12, 18, 24)
 """Dilations of the dense ASPP."""
 KITTI_FOCAL_PX = 715.0873
-"""Of the camera whose depth is not scaled (``bts.py``, its last lines)."""
+"""Focal length of the camera whose depth is not scaled, pixels (``bts.py``, its last lines)."""
 
 
 class Bts(Baseline):
-    """Depth up to the farthest of the domain, times the ratio of the focal lengths."""
+    """Predicts depth up to the farthest of the domain, times the ratio of the focal lengths."""
 
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
@@ -36,21 +35,19 @@ class Bts(Baseline):
         self.scale = self.domain.max_depth * network.focal_px / KITTI_FOCAL_PX
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels whose sides are multiples of 32, at their resolution."""
+        """Predict the depth of normalised pixels whose sides are multiples of 32, at their resolution."""
         return HeadOutput(self.scale * self.decoder(self.encoder(x)))
 
 
 class DenseNetEncoder(TimmEncoder):
-    """The maps that BTS takes from a DenseNet: of its first layer, first pooling, two transitions, and last norm.
+    """The maps that BTS takes from a DenseNet: after its first layer, first pooling, two transitions and last norm.
 
-    timm's own ``features_only`` gives what is before the transitions, twice to five times as many channels.
+    timm's own ``features_only`` gives the maps before the transitions, with twice to five times as many channels.
     """
 
     def __init__(self, name: str) -> None:
-        import timm
-
         super().__init__()
-        self.stages: Any = timm.create_model(name, pretrained=False).get_submodule("features")
+        self.stages: Any = create_network(name).get_submodule("features")
         part = self.stages.get_submodule
         norms = (part("norm0"), part("norm0"), part("denseblock2.denselayer1.norm1"),
                  part("denseblock3.denselayer1.norm1"), part("norm5"))  # fmt: skip
@@ -58,16 +55,16 @@ class DenseNetEncoder(TimmEncoder):
         self.strides = (2, 4, 8, 16, 32)
 
     def load_timm(self, network: nn.Module) -> None:
-        """Take the weights of timm's network of the same shape, its classifier left out."""
+        """Copy the weights of timm's network of the same shape, without its classifier."""
         self.stages.load_state_dict(network.get_submodule("features").state_dict())
 
     def checkpoint_gradients(self) -> None:
-        """From now on the backward pass computes what is inside the layers again, instead of keeping it."""
+        """Save memory from now on: the backward pass computes the insides of the layers again."""
         for layer in (module for module in self.stages.modules() if hasattr(module, "grad_checkpointing")):
             layer.grad_checkpointing = True
 
     def forward(self, x: Float[Tensor, "batch 3 height width"]) -> list[Float[Tensor, "batch _ _ _"]]:
-        """Five maps of normalised pixels, fine to coarse."""
+        """Return five maps of normalised pixels, fine to coarse."""
         maps = []
         for name, stage in self.stages.named_children():
             x = stage(x)
@@ -77,11 +74,11 @@ class DenseNetEncoder(TimmEncoder):
 
 
 class BtsDecoder(nn.Module):
-    """From maps at strides 2, 4, 8, 16, 32 to depth as a fraction of the farthest.
+    """Decodes maps at strides 2, 4, 8, 16, 32 to depth as a fraction of the farthest.
 
     Args:
-        channels: of the maps, fine to coarse.
-        width: at stride 16; half as many at 8, a quarter at 8 after the ASPP and at 4, and so on.
+        channels: channels of the maps, fine to coarse.
+        width: channels at stride 16; half as many at 8, a quarter at 8 after the ASPP and at 4, and so on.
     """
 
     def __init__(self, channels: tuple[int, ...], *, width: int) -> None:
@@ -106,7 +103,7 @@ class BtsDecoder(nn.Module):
             nn.init.xavier_uniform_(conv.weight)
 
     def forward(self, maps: list[Float[Tensor, "batch _ _ _"]]) -> Float[Tensor, "batch 1 height width"]:
-        """Depth, float32, at stride 1."""
+        """Predict depth, float32, at stride 1."""
         x2, x4, x8, x16, x32 = maps
         x = self.fuse16(torch.cat([self.up16(F.relu(x32)), x16], dim=1))
         joined = torch.cat([self.up8(x), x8], dim=1)
@@ -122,7 +119,7 @@ class BtsDecoder(nn.Module):
 
 
 class Up(nn.Module):
-    """Twice the size (nearest), 3x3 convolution, ELU, and batch norm (``bts.py::upconv``)."""
+    """Upsamples to twice the size (nearest); 3x3 convolution, ELU, and batch norm (``bts.py::upconv``)."""
 
     def __init__(self, channels: int, output_channels: int, *, norm: bool = True) -> None:
         super().__init__()
@@ -130,17 +127,17 @@ class Up(nn.Module):
         self.norm = _norm(output_channels) if norm else nn.Identity()
 
     def forward(self, x: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch output_channels _ _"]:
-        """Twice as high and wide."""
+        """Return a map twice as high and wide."""
         return self.norm(self.conv(F.interpolate(x, scale_factor=2.0, mode="nearest")))
 
 
 class DenseAspp(nn.Module):
-    """Dilated convolutions, each of which sees what those before it found (BTS section 3.2)."""
+    """Dilated convolutions, each of which sees the results of those before it (BTS section 3.2)."""
 
     def __init__(self, channels: int, skip_channels: int, width: int) -> None:
         super().__init__()
         joined = channels + skip_channels
-        # As released, the first branch has no norm of its own: its input is normalised already.
+        # As in the released code, the first branch has no norm of its own: its input is normalised already.
         self.branches = nn.ModuleList(
             _atrous(joined + i * width if i else channels, width, rate, norm_first=i > 0)
             for i, rate in enumerate(RATES)
@@ -150,7 +147,7 @@ class DenseAspp(nn.Module):
     def forward(
         self, x: Float[Tensor, "batch channels rows columns"], joined: Float[Tensor, "batch _ rows columns"]
     ) -> Float[Tensor, "batch width rows columns"]:
-        """Context of ``x``, given the maps it was fused from, which all branches but the first see in its place."""
+        """Compute the context of ``x``. All branches but the first see, in its place, the maps it was fused from."""
         first, *others = self.branches
         found = [first(x)]
         for branch in others:
@@ -174,5 +171,5 @@ def _norm(channels: int) -> nn.BatchNorm2d:
 
 
 def _every(x: Float[Tensor, "batch 1 height width"], step: int) -> Float[Tensor, "batch 1 _ _"]:
-    """Every so many-th pixel: ``interpolate`` to the nearest, downwards."""
+    """Take one pixel of every ``step``: ``interpolate`` with the mode "nearest", to a smaller size."""
     return x[:, :, ::step, ::step]

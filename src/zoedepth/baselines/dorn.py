@@ -1,6 +1,6 @@
 """DORN as its authors built it: dilated ResNet, scene module, ordinal regression (Fu et al. 2018).
 
-From the paper and the released networks, ``models/NYUV2/deploy.prototxt`` and ``models/KITTI/deploy.prototxt``.
+Written from the paper and the released networks, ``models/NYUV2/deploy.prototxt`` and ``models/KITTI/deploy.prototxt``.
 """
 
 import math
@@ -9,20 +9,20 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
-from zoedepth.baselines.encoder import FeatureEncoder
 from zoedepth.config import BaselineConfig, DornNetworkConfig
-from zoedepth.model.decoder import upsample
 from zoedepth.model.heads.dorn import SceneModule, interval_edges, ordinal_output
 from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.timm_encoder import FeatureEncoder
+from zoedepth.model.upsample import upsample
 
 WIDTH = 512
 """Channels of each branch of the scene module."""
 STRIDE = 8
-"""Of the encoder's map."""
+"""Stride of the encoder's map, pixels."""
 
 
 class Dorn(Baseline):
-    """Ordinal logits at stride 8, upsampled, then decoded. It takes photos of ``config.size`` only."""
+    """Predicts ordinal logits at stride 8, upsamples them, then decodes. It takes photos of ``config.size`` only."""
 
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
@@ -49,18 +49,18 @@ class Dorn(Baseline):
         )
         for layer in self.decoder.modules():
             if isinstance(layer, nn.Conv2d | nn.Linear):
-                nn.init.kaiming_uniform_(layer.weight, nonlinearity="linear")  # what Caffe calls xavier
+                nn.init.kaiming_uniform_(layer.weight, nonlinearity="linear")  # Caffe's "xavier"
                 if layer.bias is not None:
                     nn.init.zeros_(layer.bias)
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels, at their resolution."""
+        """Predict the depth of normalised pixels, at their resolution."""
         logits = self.decoder(self.encoder(x)[0]).float()
         return ordinal_output(upsample(logits, x.shape[-2:]), self.edges, decode=self.decode)
 
 
 def _dilate_first_blocks(stages: nn.Module) -> None:
-    """Give the first block of a dilated ResNet stage the dilation of the others; timm has it less dilated."""
+    """Give the first block of a dilated ResNet stage the dilation of the others; in timm it is less dilated."""
     for name in ("layer3", "layer4"):
         if hasattr(stages, name):
             first, second = list(getattr(stages, name))[:2]

@@ -5,7 +5,7 @@ from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
-from zoedepth.config import BaselineConfig, LocalBinsNetworkConfig, SplitterConfig
+from zoedepth.config import BaselineConfig, LocalBinsNetworkConfig
 from zoedepth.model.heads.output import HeadOutput, Supervision
 from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.heads.splitter import (
@@ -17,9 +17,12 @@ from zoedepth.model.heads.splitter import (
     window_bins,
 )
 
+_WIDTHS = {"embedding_width": 128, "hidden_width": 128}
+"""Channels of the bin embeddings, and hidden channels of the projectors and splitters."""
+
 
 class LocalBins(Baseline):
-    """EfficientNet, U-Net, and bins that are split at every level of it."""
+    """EfficientNet, U-Net, and bins that are split at every level of the U-Net."""
 
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
@@ -27,16 +30,17 @@ class LocalBins(Baseline):
         assert isinstance(network, LocalBinsNetworkConfig)
         self.n_windows = network.n_windows
         self.front_padding = network.front_padding
-        bins = SplitterConfig(n_seed_bins=network.n_seed_bins)
         self.encoder = EfficientNetEncoder(network.encoder)
         self.decoder = UNetDecoder(self.encoder.channels)
         channels = self.decoder.channels
-        self.projectors = BinProjectors(channels, bins)
-        self.bins = BinSplitters(channels.bottleneck, bins)
+        self.projectors = BinProjectors(channels, **_WIDTHS)
+        self.bins = BinSplitters(
+            channels.bottleneck, n_seed_bins=network.n_seed_bins, factor=2, seed_width=256, **_WIDTHS
+        )
         self.probability = nn.Conv2d(channels.last, self.bins.n_bins, kernel_size=3, padding=1)
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels, at half their size."""
+        """Predict the depth of normalised pixels, at half their size."""
         features = self.decoder(self.encoder(x))
         embeddings = self.projectors(features.bottleneck, features.levels)
         widths = self.bins(features.bottleneck, embeddings)[-1]

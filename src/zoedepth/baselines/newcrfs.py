@@ -4,7 +4,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.baselines.baseline import Baseline
-from zoedepth.baselines.encoder import FeatureEncoder
 from zoedepth.config import BaselineConfig, NewCrfsNetworkConfig
 from zoedepth.model.heads.newcrfs import (
     NATIVE_BLOCKS,
@@ -15,10 +14,11 @@ from zoedepth.model.heads.newcrfs import (
     pad_to_windows,
 )
 from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.timm_encoder import FeatureEncoder
 
 _SWIN = {"strict_img_size": False, "always_partition": True, "drop_path_rate": 0.3}
-"""timm's Swin takes any size, and shifts windows even where one holds the whole map, as the original; and skips blocks
-at random while training, the last with a probability of 0.3."""
+"""Options that make timm's Swin the original's: it takes any size, shifts windows even where one holds the whole map,
+and in training skips blocks at random, the last with a probability of 0.3."""
 
 
 class NewCrfs(Baseline):
@@ -42,12 +42,12 @@ class NewCrfs(Baseline):
         self.depth = SigmoidDepth(network.widths[3], self.domain)
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels, at their resolution."""
+        """Predict the depth of normalised pixels, at their resolution."""
         return self.depth(self.decoder(tuple(reversed(self.encoder(x)))))
 
 
 class PyramidEncoder(FeatureEncoder):
-    """Maps at strides 4, 8, 16, 32. Those of a Swin, which leaves them as they are, are normalised."""
+    """Maps at strides 4, 8, 16, 32. A Swin's maps are normalised here, since timm's Swin does not do it."""
 
     def __init__(self, name: str) -> None:
         from timm.models import is_model_in_modules
@@ -59,7 +59,7 @@ class PyramidEncoder(FeatureEncoder):
         self.norms = nn.ModuleList(nn.LayerNorm(width) if is_swin else nn.Identity() for width in self.channels)
 
     def forward(self, x: Float[Tensor, "batch 3 height width"]) -> list[Float[Tensor, "batch _ _ _"]]:
-        """Four maps of normalised pixels, fine to coarse."""
+        """Return four maps of normalised pixels, fine to coarse."""
         maps = super().forward(x)
         return [
             norm(level.permute(0, 2, 3, 1)).permute(0, 3, 1, 2) for norm, level in zip(self.norms, maps, strict=True)
@@ -67,10 +67,10 @@ class PyramidEncoder(FeatureEncoder):
 
 
 def pad_before_shift(network: nn.Module) -> None:
-    """Make timm's Swin blocks pad to whole windows before they shift, as NeWCRFs' do, in place of after.
+    """Make timm's Swin blocks pad to whole windows before they shift, as NeWCRFs' blocks do, instead of after.
 
-    timm shifts first: where a map is not made of whole windows, what is wrapped around then lands before the padding,
-    outside the mask, and opposite borders of the photo look at each other.
+    timm shifts first. Where a map is not made of whole windows, the pixels that are wrapped around then land before the
+    padding, outside the mask, and opposite borders of the photo look at each other.
     """
     from timm.models.swin_transformer import SwinTransformerBlock
 

@@ -10,11 +10,11 @@ from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.heads.pixelbins import PixelBins as PixelBinsLayer
 
 _WIDTH = 128
-"""Channels of the map that widths and probabilities are predicted from."""
+"""Channels of the map from which widths and probabilities are predicted."""
 
 
 class PixelBins(Baseline):
-    """AdaBins' EfficientNet, a slimmer U-Net, and the bins of every pixel by one convolution."""
+    """AdaBins' EfficientNet, a slimmer U-Net, and one convolution that predicts the bins of every pixel."""
 
     def __init__(self, config: BaselineConfig) -> None:
         super().__init__(config)
@@ -25,5 +25,5 @@ class PixelBins(Baseline):
         self.bins = PixelBinsLayer(_WIDTH, network.n_bins, self.domain, exact=network.exact)
 
     def predict(self, x: Float[Tensor, "batch 3 height width"]) -> HeadOutput:
-        """Depth of normalised pixels, at half their size."""
+        """Predict the depth of normalised pixels, at half their size."""
         return self.bins(self.decoder(self.encoder(x)).last)

@@ -1,6 +1,6 @@
 """EfficientNet and the U-Net on it, which AdaBins, LocalBins and PixelBins share.
 
-As in AdaBins ``unet_adaptive_bins.py``, LocalBins ``localbins.py``, PixelBins ``custom.py``.
+(AdaBins ``unet_adaptive_bins.py``, LocalBins ``localbins.py``, PixelBins ``custom.py``.)
 """
 
 from typing import Any, NamedTuple
@@ -10,22 +10,23 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.errors import InputError
-from zoedepth.model.decoder import DecoderChannels, upsample
-from zoedepth.model.encoder import TimmEncoder, replace_depthwise
+from zoedepth.model.decoder import DecoderChannels
+from zoedepth.model.timm_encoder import TimmEncoder, create_network
+from zoedepth.model.upsample import upsample
 
 
 class EfficientNetEncoder(TimmEncoder):
-    """Five maps of one of timm's EfficientNets, fine to coarse, of ``strides``.
+    """Five maps of one of timm's EfficientNets, fine to coarse, at ``strides``.
 
-    The coarsest is what the 1x1 convolution before the classifier makes of the last stage, without the normalisation
-    and activation after it: the originals take that one.
+    The coarsest is the output of the 1x1 convolution before the classifier, without the normalisation and activation
+    after it, as in the originals.
 
     Args:
         name: timm architecture.
 
     Attributes:
-        channels: of the maps. tf_efficientnet_b5: 24, 40, 64, 176, 2048.
-        strides: 2, 4, 8, 16, 32.
+        channels: channels of the maps. tf_efficientnet_b5: 24, 40, 64, 176, 2048.
+        strides: strides of the maps: 2, 4, 8, 16, 32.
 
     Raises:
         InputError: the architecture is no EfficientNet.
@@ -34,36 +35,37 @@ class EfficientNetEncoder(TimmEncoder):
     strides = (2, 4, 8, 16, 32)
 
     def __init__(self, name: str) -> None:
-        import timm
         from timm.models.efficientnet import EfficientNet
 
         super().__init__()
-        network = timm.create_model(name, pretrained=False, num_classes=0)
+        network = create_network(name, num_classes=0)
         stages = network.feature_info if isinstance(network, EfficientNet) else []
         if tuple(stage["reduction"] for stage in stages) != self.strides:
-            raise InputError(f"network.encoder must be an EfficientNet with maps at strides {self.strides}, not {name}")
+            raise InputError(
+                f"network.encoder is {name}. It must be an EfficientNet with maps at strides {self.strides}, "
+                "for example tf_efficientnet_b5."
+            )
         network.bn2 = nn.Identity()
-        replace_depthwise(network)
         self.network: Any = network
         self.channels: tuple[int, ...] = (*(stage["num_chs"] for stage in stages[:-1]), self.network.num_features)
 
     def load_timm(self, network: nn.Module) -> None:
-        """Take the weights of timm's network of the same shape; its classifier, and what is before it, stay out."""
+        """Copy the weights of timm's network of the same shape, without its classifier and the norm before it."""
         given = network.state_dict()
         self.network.load_state_dict({name: given[name] for name in self.network.state_dict()})
 
     def checkpoint_gradients(self) -> None:
-        """From now on the backward pass computes what is inside the stages again, instead of keeping it."""
+        """Save memory from now on: the backward pass computes the insides of the stages again."""
         self.network.set_grad_checkpointing(True)
 
     def forward(self, x: Float[Tensor, "batch 3 height width"]) -> list[Float[Tensor, "batch _ _ _"]]:
-        """Maps of normalised pixels whose sides are multiples of 32."""
+        """Return the maps of normalised pixels whose sides are multiples of 32."""
         last, maps = self.network.forward_intermediates(x, indices=[0, 1, 2, 3])
         return [*maps, last]
 
 
 class UNetFeatures(NamedTuple):
-    """What the decoder gives."""
+    """The output of ``UNetDecoder``."""
 
     bottleneck: Float[Tensor, "batch _ _ _"]
     """The coarsest encoder map after one convolution: stride 32, and one pixel more on each side."""
@@ -74,18 +76,18 @@ class UNetFeatures(NamedTuple):
 
 
 class UNetDecoder(nn.Module):
-    """From coarse to fine: upsample, join the encoder's map, two convolutions; half the channels at each level.
+    """Decodes from coarse to fine: upsample, join the encoder's map, two convolutions, with ever half the channels.
 
-    The first 1x1 convolution has a padding of 1, as in all three originals, so that its map is framed by its bias. That
-    does nothing but press the photo together, and published weights are used to it.
+    The first 1x1 convolution has a padding of 1, as in all three originals, so its bias frames its map. That only
+    presses the photo together, but published weights are used to it.
 
     Args:
-        channels: of the encoder's maps, strides 2 to 32.
+        channels: channels of the encoder's maps, strides 2 to 32.
         features: channels of the last map; None: it is the finest level.
-        slim: the second convolution of a level is 1x1, and neither has a bias (PixelBins).
+        slim: True: the second convolution of a level is 1x1, and neither has a bias (PixelBins).
 
     Attributes:
-        channels: of the maps it gives.
+        channels: channels of the maps in ``UNetFeatures``.
     """
 
     def __init__(self, channels: tuple[int, ...], *, features: int | None = None, slim: bool = False) -> None:
@@ -128,5 +130,5 @@ class Level(nn.Module):
     def forward(
         self, coarser: Float[Tensor, "batch _ _ _"], skip: Float[Tensor, "batch _ height width"]
     ) -> Float[Tensor, "batch output_channels height width"]:
-        """The level before this one, at the size of the encoder's map and joined with it."""
+        """Upsample the level before this one, join it with the encoder's map, and refine both."""
         return self.convs(torch.cat([upsample(coarser, skip.shape[-2:]), skip], dim=1))

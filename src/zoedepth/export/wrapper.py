@@ -10,12 +10,12 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.errors import InputError
-from zoedepth.model.decoder import upsample
 from zoedepth.model.heads.attractor import AttractorHead
 from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.router import TrainedRouter
+from zoedepth.model.upsample import upsample
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.tensors import Exported
 
@@ -66,9 +66,9 @@ class ExportModel(nn.Module):
         else:
             logits = model.router(features.bottleneck, None).logits
             output = routed(list(model.heads), features, torch.where(domain < 0, logits.argmax(dim=1), domain))
-        answer = output.answer(std=True, bins=False)
-        std = None if answer.std is None else upsample(answer.std, size)[:, 0]
-        return Exported(upsample(answer.depth, size)[:, 0], std, logits)
+        depth, spread = output.depth_and_std()
+        std = None if spread is None else upsample(spread, size)[:, 0]
+        return Exported(upsample(depth, size)[:, 0], std, logits)
 
 
 def routed(heads: list[nn.Module], features: Any, domain: Int[Tensor, " batch"]) -> HeadOutput:

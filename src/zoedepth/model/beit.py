@@ -8,48 +8,67 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from zoedepth.config import EncoderConfig
 from zoedepth.errors import InputError
-from zoedepth.model.linear import replace_linear
+from zoedepth.model.timm_encoder import create_network
 
 PATCH = 16
 """Side of a patch, pixels: the stride of the tokens."""
 
 
 class BeitNetwork(nn.Module):
-    """timm's BEiT, giving the outputs of four blocks as maps with their class tokens.
+    """timm's BEiT, which gives the outputs of four blocks as maps with their class tokens.
 
-    timm's own position tables fit the size the network was built with only. Here the tables are ours, and each block is
-    given its bias through timm's argument for a shared one.
+    timm's own position tables fit only the size that the network was built with. Here the tables are ours, and each
+    block gets its bias through timm's argument for a shared one.
+
+    Args:
+        name: timm architecture.
+        size: (height, width) that the position tables are made for.
+        taps: indices of the four blocks whose outputs are the maps.
+        width: channels of the tokens, in place of timm's.
+        depth: number of blocks, in place of timm's.
+        heads: attention heads of each block, in place of timm's.
+        mlp_width: hidden channels of the blocks' MLPs, in place of four times the width.
+
+    Raises:
+        InputError: the network has fewer blocks than the taps need.
     """
 
-    def __init__(self, config: EncoderConfig) -> None:
-        import timm
-
+    def __init__(
+        self,
+        name: str,
+        *,
+        size: tuple[int, int],
+        taps: tuple[int, ...],
+        width: int | None = None,
+        depth: int | None = None,
+        heads: int | None = None,
+        mlp_width: int | None = None,
+    ) -> None:
         super().__init__()
-        overrides: dict[str, Any] = {"embed_dim": config.width, "depth": config.depth and config.depth[0],
-                     "num_heads": config.heads and config.heads[0]}  # fmt: skip
-        if config.width and config.mlp_width:
+        overrides: dict[str, Any] = {"embed_dim": width, "depth": depth, "num_heads": heads}
+        if width and mlp_width:
             # timm takes a ratio, and rounds the product down.
-            overrides["mlp_ratio"] = (config.mlp_width + 0.5) / config.width
-        network: Any = timm.create_model(
-            config.name,
-            pretrained=False,
+            overrides["mlp_ratio"] = (mlp_width + 0.5) / width
+        network = create_network(
+            name,
             num_classes=0,
-            img_size=config.size,
+            img_size=size,
             use_rel_pos_bias=False,
-            **{name: value for name, value in overrides.items() if value is not None},
+            **{option: value for option, value in overrides.items() if value is not None},
         )
-        if config.taps[-1] >= len(network.blocks):
-            raise InputError(f"tap {config.taps[-1]} of {config.name}, which has {len(network.blocks)} blocks")
-        self.taps = config.taps
-        self.native_grid = (config.size[0] // PATCH, config.size[1] // PATCH)
+        n_blocks = len(network.blocks)
+        if taps[-1] >= n_blocks:
+            raise InputError(
+                f"encoder.taps are {taps}, but {name} has {n_blocks} blocks. Take taps from 0 to {n_blocks - 1}."
+            )
+        self.taps = taps
+        self.native_grid = (size[0] // PATCH, size[1] // PATCH)
         self.patch_embed: nn.Module = network.patch_embed.proj
         self.cls_token: nn.Parameter = network.cls_token
         # Blocks after the last tap are never used.
-        blocks = list(network.blocks)[: config.taps[-1] + 1]
+        blocks = list(network.blocks)[: taps[-1] + 1]
         self.blocks = nn.ModuleList(blocks)
-        replace_linear(self.blocks)
         rows = (2 * self.native_grid[0] - 1) * (2 * self.native_grid[1] - 1) + 3
         self.position_tables = nn.ParameterList(
             nn.Parameter(nn.init.trunc_normal_(torch.empty(rows, block.attn.num_heads), std=0.02)) for block in blocks
@@ -58,7 +77,7 @@ class BeitNetwork(nn.Module):
         self._checkpointing = False
 
     def load_timm(self, network: nn.Module) -> None:
-        """Take the weights of timm's BEiT of the same shape, position tables and all."""
+        """Copy the weights of timm's BEiT of the same shape, position tables included."""
         source: Any = network
         self.patch_embed.load_state_dict(source.patch_embed.proj.state_dict())
         with torch.no_grad():
@@ -69,18 +88,18 @@ class BeitNetwork(nn.Module):
                 block.load_state_dict({name: weights[name] for name in block.state_dict()})
 
     def checkpoint_gradients(self) -> None:
-        """From now on the backward pass computes what is inside the blocks again, instead of keeping it."""
+        """Save memory from now on: the backward pass computes the insides of the blocks again."""
         self._checkpointing = True
 
     def forward(
         self, pixels: Float[Tensor, "batch 3 height width"]
     ) -> tuple[list[Float[Tensor, "batch channels rows columns"]], list[Float[Tensor, "batch channels"]]]:
-        """Four maps at stride 16 and their class tokens, fine to coarse in meaning. No final norm is applied."""
+        """Return four maps at stride 16 and their class tokens, fine to coarse in meaning, without a final norm."""
         patches = self.patch_embed(pixels)
         grid = (patches.shape[2], patches.shape[3])
         tokens = torch.cat([self.cls_token.expand(patches.shape[0], -1, -1), patches.flatten(2).transpose(1, 2)], dim=1)
         index = relative_position_index(grid, device=tokens.device)
-        # One piece of memory for the biases of all blocks: writing into fresh pages takes longer than looking up.
+        # All blocks share one piece of memory for their biases: writing to new pages takes longer than the look-up.
         reused = None if torch.is_grad_enabled() or torch.compiler.is_compiling() else []
         maps, readouts = [], []
         for number, (block, table) in enumerate(zip(self.blocks, self.position_tables, strict=True)):
@@ -99,10 +118,10 @@ class BeitNetwork(nn.Module):
 def resize_position_table(
     table: Float[Tensor, "rows heads"], native: tuple[int, int], grid: tuple[int, int]
 ) -> Float[Tensor, "resized_rows heads"]:
-    """The relative position table of a (height, width) grid of tokens other than the native one.
+    """Resize a relative position table from the native (height, width) grid of tokens to another one.
 
-    The distances are a picture of (2 height - 1, 2 width - 1), resized bilinearly; the last three rows, for the class
-    token, stay. (MiDaS ``backbones/beit.py::_get_rel_pos_bias``.)
+    The distances are a picture of (2 height - 1, 2 width - 1), which is resized bilinearly. The last three rows belong
+    to the class token and stay. (MiDaS ``backbones/beit.py::_get_rel_pos_bias``.)
     """
     if grid == native:
         return table
@@ -114,18 +133,18 @@ def resize_position_table(
 def position_bias(
     table: Float[Tensor, "rows heads"], index: Int[Tensor, "tokens tokens"], *, reused: list[Tensor] | None = None
 ) -> Float[Tensor, "1 heads tokens tokens"]:
-    """What is added to the attention of each pair (query, key).
+    """Look up the bias that is added to the attention of each pair (query, key).
 
-    The first axis makes it a mask for which torch has a fused attention on the CPU; with three axes it has none.
+    torch has a fused attention on the CPU for a mask of four axes, and none for three: hence the first one.
 
     Args:
-        table: of the grid, see ``resize_position_table``.
-        index: see ``relative_position_index``.
-        reused: keeps the memory of the last bias, which the next one overwrites; None: each has its own.
+        table: the position table of the grid, from ``resize_position_table``.
+        index: its row for each pair, from ``relative_position_index``.
+        reused: a list that keeps the memory of the last bias, which the next one overwrites. None: each has its own.
     """
     heads = table.shape[1]
     if reused is None:
-        # A third of the time of a gather and its gradient; writing into given memory, gather is the faster one.
+        # With a gradient, index_select takes a third of the time of gather. Into given memory, gather is the faster.
         return table.T.index_select(1, index.flatten()).view(1, heads, *index.shape)
     if not reused:
         reused.append(table.new_empty(1, heads, *index.shape))
@@ -136,7 +155,10 @@ def position_bias(
 def relative_position_index(
     grid: tuple[int, int], *, device: torch.device | None = None
 ) -> Int[Tensor, "tokens tokens"]:
-    """Row of the position table for each pair (query, key) of the class token and a (height, width) grid of tokens."""
+    """Return the row of the position table for each pair (query, key) of tokens.
+
+    The tokens are the class token and then a (height, width) grid, row by row.
+    """
     height, width = grid
     rows = torch.arange(height, device=device).repeat_interleave(width)
     columns = torch.arange(width, device=device).repeat(height)

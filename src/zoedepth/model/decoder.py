@@ -4,14 +4,16 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from zoedepth.config import DecoderConfig
 from zoedepth.model.encoder import EncoderFeatures
+from zoedepth.model.upsample import upsample
 
 
 class DecoderFeatures(NamedTuple):
-    """Everything a metric head may look at."""
+    """Everything that a metric head may look at."""
 
     bottleneck: Float[Tensor, "batch _ _ _"]
     """Stride 32: the coarsest map before fusion."""
@@ -21,6 +23,11 @@ class DecoderFeatures(NamedTuple):
     """The map the relative depth is predicted from, at stride ``output_stride``."""
     relative: Float[Tensor, "batch 1 height width"]
     """Relative depth: inverse depth up to an unknown scale and shift, >= 0, near is large; same stride as ``last``."""
+
+    def rows(self, rows: Int[Tensor, " rows"]) -> "DecoderFeatures":
+        """Take some images of the batch."""
+        levels = tuple(level[rows] for level in self.levels)
+        return DecoderFeatures(self.bottleneck[rows], levels, self.last[rows], self.relative[rows])
 
 
 class DecoderChannels(NamedTuple):
@@ -32,28 +39,30 @@ class DecoderChannels(NamedTuple):
 
 
 class Decoder(nn.Module):
-    """Encoder maps in, decoder features and relative depth out.
+    """Decode the encoder's maps into decoder features and relative depth.
 
     Args:
-        channels, strides, has_readout: of the encoder's maps.
+        channels: channels of the encoder's maps, fine to coarse.
+        strides: strides of the encoder's maps, pixels.
+        config: widths of the levels, and the last map.
+        has_readout: True where the encoder gives a class token beside each map, which is then reassembled.
         reassembled_channels: channels of the maps at strides 4, 8, 16, 32.
-        widths: channels of the decoder at strides 4, 8, 16, 32 (256 everywhere in DPT).
-        features: channels of the last map.
-        output_stride: stride of the last map, 1 or 2.
+
+    Attributes:
+        channels: channels of the maps in ``DecoderFeatures``.
     """
 
     def __init__(
         self,
         channels: tuple[int, ...],
         strides: tuple[int, ...],
+        config: DecoderConfig,
         *,
         has_readout: bool,
         reassembled_channels: tuple[int, ...],
-        widths: tuple[int, int, int, int],
-        features: int,
-        output_stride: int,
     ) -> None:
         super().__init__()
+        widths, features = config.widths, config.features
         self.reassemble = nn.ModuleList(
             Reassemble(channels[i], reassembled_channels[i], stride=strides[i], output_stride=4 * 2**i)
             if has_readout
@@ -67,7 +76,7 @@ class Decoder(nn.Module):
         self.fusion = nn.ModuleList(
             Fusion(widths[i], widths[max(i - 1, 0)], has_skip=i < 3) for i in reversed(range(4))
         )
-        self.relative_head = RelativeHead(widths[0], features=features, upsample=output_stride == 1)
+        self.relative_head = RelativeHead(widths[0], features=features, upsample=config.output_stride == 1)
         self.channels = DecoderChannels(widths[3], (widths[2], widths[1], widths[0], widths[0]), features)
 
     def forward(self, features: EncoderFeatures) -> DecoderFeatures:
@@ -89,7 +98,7 @@ class Decoder(nn.Module):
 
 
 class Reassemble(nn.Module):
-    """Tokens to a map: join the readout token to every token, project, resample (DPT section 3.1)."""
+    """Make a map of tokens: join the readout token to each of them, project, resample (DPT section 3.1)."""
 
     def __init__(self, channels: int, output_channels: int, *, stride: int, output_stride: int) -> None:
         super().__init__()
@@ -108,8 +117,8 @@ class Reassemble(nn.Module):
     def forward(
         self, x: Float[Tensor, "batch channels rows columns"], readout: Float[Tensor, "batch channels"]
     ) -> Float[Tensor, "batch output_channels _ _"]:
-        """One map, given the class token beside it."""
-        # MiDaS repeats the readout token beside every token. Its product is the same for all of them: half of the work.
+        """Reassemble one map, given the class token beside it."""
+        # MiDaS repeats the readout token beside every token. Its product is the same for all: once is half of the work.
         of_tokens, of_readout = self.readout.weight.chunk(2, dim=1)
         tokens = F.linear(x.flatten(2).transpose(1, 2), of_tokens)
         tokens = F.gelu(tokens + F.linear(readout, of_readout, self.readout.bias)[:, None])
@@ -117,7 +126,7 @@ class Reassemble(nn.Module):
 
 
 class Fusion(nn.Module):
-    """Add the skip, refine, go to the next finer size (RefineNet block of DPT; MiDaS ``FeatureFusionBlock_custom``)."""
+    """Add the skip, refine, go to the next finer size (DPT's RefineNet block; MiDaS ``FeatureFusionBlock_custom``)."""
 
     def __init__(self, width: int, output_width: int, *, has_skip: bool) -> None:
         super().__init__()
@@ -147,12 +156,12 @@ class ResidualUnit(nn.Module):
         self.conv2 = nn.Conv2d(width, width, kernel_size=3, padding=1)
 
     def forward(self, x: Float[Tensor, "batch width _ _"]) -> Float[Tensor, "batch width _ _"]:
-        """Same shape."""
+        """Refine the map; its shape stays."""
         return x + self.conv2(F.relu(self.conv1(F.relu(x)), inplace=True))
 
 
 class RelativeHead(nn.Module):
-    """The last decoder map and the relative depth (MiDaS ``DPTDepthModel.head``)."""
+    """The last decoder map, and the relative depth predicted from it (MiDaS ``DPTDepthModel.head``)."""
 
     def __init__(self, width: int, *, features: int, upsample: bool) -> None:
         super().__init__()
@@ -160,36 +169,16 @@ class RelativeHead(nn.Module):
         self.conv1 = nn.Conv2d(width, width // 2, kernel_size=3, padding=1)
         self.conv2 = nn.Conv2d(width // 2, features, kernel_size=3, padding=1)
         self.conv3 = nn.Conv2d(features, 1, kernel_size=1)
-        # A ReLU ends the head: were the first relative depth negative everywhere, its gradient would be 0 for ever.
+        # The head ends in a ReLU. If a new model said negative depth everywhere, its gradient would stay 0 for ever.
         bias: Any = self.conv3.bias
         nn.init.constant_(bias, 0.5)
 
     def forward(
         self, x: Float[Tensor, "batch width _ _"]
     ) -> tuple[Float[Tensor, "batch features _ _"], Float[Tensor, "batch 1 _ _"]]:
-        """The feature map and the relative depth of the finest level."""
+        """Return the last map and the relative depth, given the finest level."""
         x = self.conv1(x)
         if self.upsample:
             x = upsample(x, torch.Size([2 * x.shape[-2], 2 * x.shape[-1]]))
         last = F.relu(self.conv2(x), inplace=True)
         return last, F.relu(self.conv3(last), inplace=True)
-
-
-def upsample(x: Float[Tensor, "batch channels _ _"], size: torch.Size) -> Float[Tensor, "batch channels height width"]:
-    """Bilinear, ``align_corners=True``, as everywhere in the decoder and the heads; nothing at equal size."""
-    return x if x.shape[-2:] == size else F.interpolate(x, size=size, mode="bilinear", align_corners=True)
-
-
-def upsample_rows(
-    x: Float[Tensor, "batch channels _ _"], size: torch.Size, rows: slice
-) -> Float[Tensor, "batch channels rows width"]:
-    """Some rows of ``upsample(x, size)``, without computing the others."""
-    n_rows, height = x.shape[2], size[0]
-    if rows == slice(None):
-        return upsample(x, size)
-    places = torch.arange(rows.start, rows.stop, device=x.device) * ((n_rows - 1) / max(height - 1, 1))
-    above = places.floor().long().clamp(max=n_rows - 1)
-    below = (above + 1).clamp(max=n_rows - 1)
-    lines = x.permute(0, 2, 3, 1)  # with channels last, which indexing along another axis would not keep
-    band = torch.lerp(lines[:, above], lines[:, below], (places - above).to(x.dtype)[:, None, None])
-    return upsample(band.permute(0, 3, 1, 2), torch.Size([len(places), size[1]]))

@@ -1,6 +1,7 @@
-"""What all models of this package have in common: pixels in, ``DepthOutput`` out."""
+"""The interface of every model in this package: pixels in, ``DepthOutput`` out."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import torch
@@ -9,48 +10,97 @@ from torch import Tensor, nn
 
 from zoedepth.config import AnyModelConfig
 from zoedepth.errors import InputError
-from zoedepth.model.decoder import upsample
-from zoedepth.model.encoder import TimmEncoder
-from zoedepth.model.heads.output import Answer, Supervision
+from zoedepth.model.heads.output import HeadOutput, Supervision, join
 from zoedepth.model.router import Routing
+from zoedepth.model.timm_encoder import TimmEncoder
+from zoedepth.model.upsample import upsample
 
 
 class DepthOutput(NamedTuple):
-    """What a model says of a batch."""
+    """A model's output for a batch."""
 
     depth: Float[Tensor, "batch 1 height width"]
     """Metres along the optical axis, at network resolution."""
     relative: Float[Tensor, "batch 1 height width"] | None
-    """Relative depth: inverse depth up to an unknown scale and shift; near is large. None of a baseline."""
+    """Relative depth: inverse depth up to an unknown scale and shift; near is large. Baselines have none."""
     domain: Int[Tensor, " batch"]
     """Index in ``config.domains`` of the head each image took."""
     domain_logits: Float[Tensor, "batch domains"] | None
-    """The router's scores; None where nothing was to be decided."""
+    """The router's scores; None where it had nothing to decide."""
     std: Float[Tensor, "batch 1 height width"] | None
-    """Metres: standard deviation of the bin distribution, of which depth is the mean; on request, of heads with one."""
+    """Metres: standard deviation of the distribution whose mean is the depth. On request, from heads that have one."""
     bin_centers: Float[Tensor, "batch bins height width"] | None
-    """Metres; on request, of heads with a distribution."""
+    """Metres. On request, from heads that have a distribution."""
     probability: Float[Tensor, "batch bins height width"] | None
-    """Sums to 1 over the bins; on request, of heads with a distribution."""
+    """Sums to 1 over the bins. On request, from heads that have a distribution."""
     supervision: Supervision = Supervision()
-    """What the head's own loss needs beside depth."""
+    """The inputs of the head's own loss beside depth."""
 
 
 def depth_output(
-    answer: Answer, size: torch.Size, routing: Routing, relative: Float[Tensor, "batch 1 height width"] | None
+    head: HeadOutput,
+    relative: Float[Tensor, "batch 1 _ _"] | None,
+    routing: Routing,
+    *,
+    size: torch.Size,
+    std: bool,
+    bins: bool,
 ) -> DepthOutput:
-    """What a head says, at the size of the pixels."""
-    std, centers, probability = (None if x is None else upsample(x, size) for x in answer[1:4])
-    depth = upsample(answer.depth, size)
-    return DepthOutput(depth, relative, routing.domain, routing.logits, std, centers, probability, answer.supervision)
+    """Give a head's output the size of the pixels.
+
+    Args:
+        head: the output of the head.
+        relative: relative depth of the same images, where the model has it.
+        routing: which head each image took.
+        size: (height, width) of the pixels.
+        std: True to compute the standard deviation.
+        bins: True to compute the bins. Each of their two tensors is as large as n_bins depth maps.
+    """
+    depth, spread = head.depth_and_std() if std else (head.depth, None)
+    distribution = head.distribution if bins else None
+    return DepthOutput(
+        depth=upsample(depth, size),
+        relative=None if relative is None else upsample(relative, size),
+        domain=routing.domain,
+        domain_logits=routing.logits,
+        std=None if spread is None else upsample(spread, size),
+        bin_centers=None if distribution is None else upsample(distribution.bin_centers, size),
+        probability=None if distribution is None else upsample(distribution.probability, size),
+        supervision=head.supervision,
+    )
+
+
+def in_batch_order(groups: list[DepthOutput], domain: Int[Tensor, " batch"]) -> DepthOutput:
+    """Join the outputs of groups of images in the order of the batch.
+
+    Args:
+        groups: a group for each domain that the batch has, in the order of the domains.
+        domain: index of the domain of each image of the batch.
+    """
+    order = domain.argsort(stable=True).argsort()
+
+    def where_given(parts: Iterable[Tensor | None]) -> Tensor | None:
+        given = [part for part in parts if part is not None]
+        return join(given, order) if given else None
+
+    return DepthOutput(
+        depth=join((group.depth for group in groups), order),
+        relative=where_given(group.relative for group in groups),
+        domain=domain,
+        domain_logits=where_given(group.domain_logits for group in groups),
+        std=where_given(group.std for group in groups),
+        bin_centers=where_given(group.bin_centers for group in groups),
+        probability=where_given(group.probability for group in groups),
+        supervision=Supervision.joined([group.supervision for group in groups], order),
+    )
 
 
 class DepthModel(nn.Module, ABC):
     """A model of metric depth: ``ZoeDepth``, or one of the baselines.
 
     Attributes:
-        config: all there is to know to build it.
-        encoder: what its ImageNet weights go to.
+        config: everything needed to build the model.
+        encoder: the part that ImageNet weights are loaded into.
     """
 
     config: AnyModelConfig
@@ -58,7 +108,7 @@ class DepthModel(nn.Module, ABC):
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """The device of the weights."""
         return next(self.parameters()).device
 
     @abstractmethod
@@ -70,31 +120,33 @@ class DepthModel(nn.Module, ABC):
         return_std: bool = False,
         return_bins: bool = False,
     ) -> DepthOutput:
-        """Depth of a batch; an image's result does not depend on the others in its batch.
+        """Predict the depth of a batch; an image's result does not depend on the others in its batch.
 
         Args:
             pixels: RGB in [0, 1]; sides are multiples of ``config.multiple``. Normalised here, not by the caller.
             domain: index in ``config.domains`` of the head each image takes; None leaves it to the model.
-            return_std: also return the standard deviation of the bin distribution.
-            return_bins: also return the bin centers and their probabilities.
+            return_std: True to return the standard deviation of the bin distribution as well.
+            return_bins: True to return the bin centers and their probabilities as well.
 
         Raises:
-            InputError: wrong shape or size, or a domain there is not.
+            InputError: the pixels have a wrong shape or size, or there is no such domain.
         """
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
-        """Relative depth alone, of models that have it.
+        """Predict the relative depth alone.
 
         Raises:
-            InputError: this one has not.
+            InputError: the model has none.
         """
-        raise InputError("this model has no relative depth: it is one of the baselines, which give metres only")
+        raise InputError(
+            "this model has no relative depth: it is one of the baselines, which give metres only. Use a ZoeDepth."
+        )
 
     def check(self, pixels: Tensor, domain: Tensor | None) -> None:
-        """Refuse what the network cannot take.
+        """Check the inputs of ``forward``.
 
         Raises:
-            InputError: see ``forward``.
+            InputError: the network cannot take them; see ``forward``.
         """
         if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point():
             raise InputError(
@@ -102,7 +154,10 @@ class DepthModel(nn.Module, ABC):
             )
         config, size = self.config, tuple(pixels.shape[-2:])
         if config.one_size and size != config.size:
-            raise InputError(f"{config.encoder_name} takes pixels of {config.size} only; got {size}")
+            raise InputError(
+                f"{config.encoder_name} takes pixels of {config.size} only; got {size}. "
+                "Use zoedepth.Predictor, which resizes."
+            )
         if any(side == 0 or side % config.multiple for side in size):
             raise InputError(
                 f"the sides of pixels must be multiples of {config.multiple}; got {size}. "

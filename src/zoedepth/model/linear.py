@@ -1,4 +1,4 @@
-"""Linear layers on processors whose matrix products are slow in torch."""
+"""Linear layers for processors on which torch multiplies matrices slowly."""
 
 import functools
 import os
@@ -11,30 +11,51 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from zoedepth.errors import InputError
+
+SWITCH = "ZOEDEPTH_SLOW_PRODUCTS"
+"""Environment variable that decides in place of the processor: "1", products are slow; "0", they are not."""
+
+
+def products_are_slow() -> bool:
+    """Return True if torch's float32 matrix products are slow here, at about half the speed of its convolutions.
+
+    The environment variable ``ZOEDEPTH_SLOW_PRODUCTS`` decides; without it, the processor does.
+
+    Raises:
+        InputError: the variable is neither 0 nor 1.
+    """
+    forced = os.environ.get(SWITCH)
+    if forced is None:
+        return _processor_is_slow()
+    if forced not in ("0", "1"):
+        raise InputError(f"{SWITCH} is {forced!r}. Set it to 1 (slow) or 0 (not slow), or unset it.")
+    return forced == "1"
+
 
 @functools.cache
-def products_are_slow() -> bool:
-    """Whether torch's float32 products run at about half the processor's speed, and its convolutions do not.
+def _processor_is_slow() -> bool:
+    """Return True if MKL, which makes the products, has no fast path for this processor.
 
-    MKL, which makes the products, has fast paths for Intel's processors only; oneDNN, which makes the convolutions,
-    goes by what the processor can do. With ``MKL_ENABLE_INSTRUCTIONS=AVX2`` MKL is on Intel's as it is on others.
+    MKL is fast on Intel's processors only. oneDNN, which makes the convolutions, is fast on any processor with the
+    same instructions. ``MKL_ENABLE_INSTRUCTIONS=AVX2`` gives MKL on Intel's processors the speed it has on others.
     """
     if not torch.backends.mkl.is_available():
         return False
     if "MKL_ENABLE_INSTRUCTIONS" in os.environ:
         return not os.environ["MKL_ENABLE_INSTRUCTIONS"].startswith("AVX512")
     try:
-        about = Path("/proc/cpuinfo").read_text()
+        about = Path("/proc/cpuinfo").read_text(encoding="utf-8")
     except OSError:
         about = platform.processor()
     return "AuthenticAMD" in about
 
 
 class ConvolvedLinear(nn.Linear):
-    """A linear layer that is a 1x1 convolution over its rows, in float32 on the CPU without gradients."""
+    """A linear layer that runs as a 1x1 convolution over its rows: in float32 on the CPU without gradients."""
 
     def forward(self, input: Float[Tensor, "*rows channels"]) -> Float[Tensor, "*rows output_channels"]:
-        """The same, up to rounding."""
+        """Return what ``nn.Linear`` returns, up to rounding."""
         other = torch.is_grad_enabled() or input.device.type != "cpu" or input.dtype != torch.float32
         if other or torch.is_autocast_enabled("cpu") or torch.compiler.is_compiling():
             return super().forward(input)
@@ -44,12 +65,16 @@ class ConvolvedLinear(nn.Linear):
 
 
 def replace_linear(network: nn.Module) -> None:
-    """Put a ``ConvolvedLinear`` with the same parameters in the place of each linear layer, where it is faster."""
+    """Replace each linear layer by a ``ConvolvedLinear`` with the same parameters, if products are slow here.
+
+    ``Encoder`` applies it once, when it is built, and nothing else does: so a ZoeDepth has the same layers however it
+    is built, loaded or copied.
+    """
     if not products_are_slow():
         return
     modules: list[Any] = list(network.modules())
     for parent in modules:
-        if hasattr(parent, "qkv_bias_separate"):  # timm's attention calls its layer then, not only for its weight
+        if hasattr(parent, "qkv_bias_separate"):  # then timm's attention calls its layer; else it takes the weight only
             parent.qkv_bias_separate = True
         for name, linear in parent.named_children():
             if type(linear) is nn.Linear:

@@ -18,27 +18,32 @@ class Routing(NamedTuple):
     domain: Int[Tensor, " batch"]
     """Index of the head each image takes."""
     logits: Float[Tensor, "batch domains"] | None
-    """Scores of the domains, where there is a classifier."""
+    """Scores of the domains; None where there is no classifier."""
     weight: Float[Tensor, "batch domains"] | None = None
-    """Where not None, the image takes all heads, and this mixture of their depths."""
+    """Where given, each image takes all heads, and its depth is this mixture of theirs."""
+
+    def rows(self, rows: Int[Tensor, " rows"]) -> "Routing":
+        """Take some images of the batch."""
+        logits, weight = (None if x is None else x[rows] for x in (self.logits, self.weight))
+        return Routing(self.domain[rows], logits, weight)
 
 
 class LabeledRouter(nn.Module):
-    """R.1: the caller says the domain, in training and use. With one domain there is nothing to say."""
+    """R.1: the caller names the domain, in training and in use. With one domain the caller need not."""
 
     def __init__(self, n_domains: int) -> None:
         super().__init__()
         self.n_domains = n_domains
 
     def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
-        """The given domains.
+        """Return the given domains.
 
         Raises:
             InputError: no domain is given and there is more than one.
         """
         if domain is None:
             if self.n_domains > 1:
-                raise InputError("this model's router is labeled: say the domain of each image (domain=...)")
+                raise InputError("this model's router is labeled: pass the domain of each image (domain=...)")
             domain = torch.zeros(len(bottleneck), dtype=torch.long, device=bottleneck.device)
         return Routing(domain, None)
 
@@ -49,9 +54,9 @@ class TrainedRouter(nn.Module):
     A given domain overrides the classifier.
 
     Args:
-        classifier: bottleneck to scores of the domains.
-        by_batch: all images take the head of the best sum of scores over the batch, as released
-            (``zoedepth_nk_v1.py``): an image's depth then depends on its neighbours.
+        classifier: module from the bottleneck to scores of the domains.
+        by_batch: True: all images take the head with the best sum of scores over the batch, as released
+            (``zoedepth_nk_v1.py``). An image's depth then depends on its neighbours.
     """
 
     def __init__(self, classifier: nn.Module, *, by_batch: bool = False) -> None:
@@ -60,7 +65,7 @@ class TrainedRouter(nn.Module):
         self.by_batch = by_batch
 
     def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
-        """The given domains, or the classifier's."""
+        """Return the given domains, or else those that the classifier chooses."""
         logits = self.classifier(bottleneck).float()
         if domain is not None:
             return Routing(domain, logits)
@@ -76,7 +81,7 @@ class AutoRouter(TrainedRouter):
     """
 
     def forward(self, bottleneck: Float[Tensor, "batch _ _ _"], domain: Int[Tensor, " batch"] | None) -> Routing:
-        """A mixture while training, the best head in evaluation."""
+        """Return a mixture while training, and the best head in evaluation."""
         routing = super().forward(bottleneck, domain)
         if self.training and domain is None and routing.logits is not None:
             return routing._replace(weight=routing.logits.softmax(dim=1))
@@ -84,19 +89,19 @@ class AutoRouter(TrainedRouter):
 
 
 class MlpClassifier(nn.Module):
-    """An MLP of the pooled bottleneck (paper)."""
+    """An MLP on the pooled bottleneck (paper)."""
 
     def __init__(self, channels: int, n_domains: int, *, width: int) -> None:
         super().__init__()
         self.mlp = nn.Sequential(nn.Linear(channels, width), nn.ReLU(), nn.Linear(width, n_domains))
 
     def forward(self, bottleneck: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch domains"]:
-        """Scores of the domains."""
+        """Return the scores of the domains."""
         return self.mlp(bottleneck.mean(dim=(2, 3)))
 
 
 class TransformerClassifier(nn.Module):
-    """A transformer over the bottleneck's pixels, then an MLP of its class token (``patch_transformer.py``)."""
+    """A transformer over the bottleneck's pixels, then an MLP on its class token (``patch_transformer.py``)."""
 
     def __init__(
         self, channels: int, n_domains: int, *, width: int, attention_heads: int, feedforward_width: int
@@ -108,7 +113,7 @@ class TransformerClassifier(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, width), nn.ReLU(), nn.Linear(width, n_domains))
 
     def forward(self, bottleneck: Float[Tensor, "batch channels _ _"]) -> Float[Tensor, "batch domains"]:
-        """Scores of the domains."""
+        """Return the scores of the domains."""
         tokens = self.project(bottleneck).flatten(2).transpose(1, 2)
         tokens = F.pad(tokens, (0, 0, 1, 0))  # a class token of zeros, which is not learned
         tokens = tokens + positional_code(tokens.shape[1], tokens.shape[2], device=tokens.device)
@@ -116,14 +121,17 @@ class TransformerClassifier(nn.Module):
 
 
 def positional_code(length: int, width: int, *, device: torch.device | None = None) -> Float[Tensor, "length width"]:
-    """Sines, then cosines, of position * 10000 ** (-2 i / width) (not interleaved, as released)."""
+    """Return sines, then cosines, of position * 10000 ** (-2 i / width), not interleaved, as released."""
     rates = torch.exp(torch.arange(0, width, 2, device=device) * (-math.log(10000.0) / width))
     angles = torch.arange(length, device=device)[:, None] * rates
     return torch.cat([angles.sin(), angles.cos()], dim=1)
 
 
 def build_router(config: RouterConfig, channels: int, n_domains: int) -> nn.Module:
-    """The router of ``n_domains`` heads on a bottleneck of ``channels``; labeled where there is one domain only."""
+    """Build a router for ``n_domains`` heads on a bottleneck of ``channels``.
+
+    With one domain only, it is a labeled one whatever the config says.
+    """
     if n_domains == 1 or config.kind == "labeled":
         return LabeledRouter(n_domains)
     if config.classifier == "mlp":

@@ -1,27 +1,27 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.model.decoder import Decoder, DecoderFeatures, upsample
+from zoedepth.model.decoder import Decoder, DecoderFeatures
 from zoedepth.model.encoder import Encoder
 from zoedepth.model.heads import HEADS
-from zoedepth.model.heads.output import Answer, mixed
-from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
+from zoedepth.model.heads.output import HeadFeatures, HeadOutput, mixed
+from zoedepth.model.interface import DepthModel, DepthOutput, depth_output, in_batch_order
 from zoedepth.model.router import Routing, build_router
+from zoedepth.model.upsample import upsample
 
 
 class ZoeDepth(DepthModel):
-    """One encoder and decoder, one metric head a domain, and a router that gives each image its head.
+    """One encoder and decoder, one metric head for each domain, and a router that gives each image its head.
 
-    Without any domain in its config it has encoder and decoder only, and gives relative depth.
+    A config without domains makes a model of encoder and decoder only, which gives relative depth.
     """
 
     from_pretrained: ClassVar[Callable[[str | Path], "ZoeDepth"]]
@@ -34,11 +34,9 @@ class ZoeDepth(DepthModel):
         self.decoder = Decoder(
             encoder.channels,
             encoder.strides,
+            config.decoder,
             has_readout=encoder.has_readout,
             reassembled_channels=encoder.reassembled_channels,
-            widths=config.decoder.widths,
-            features=config.decoder.features,
-            output_stride=config.decoder.output_stride,
         )
         if not config.domains:
             return
@@ -55,13 +53,13 @@ class ZoeDepth(DepthModel):
         return_std: bool = False,
         return_bins: bool = False,
     ) -> DepthOutput:
-        """Depth of a batch; an image's result does not depend on the others in its batch.
+        """Predict the depth of a batch; an image's result does not depend on the others in its batch.
 
         Args:
             pixels: RGB in [0, 1]; sides are multiples of ``config.multiple``. Normalised here, not by the caller.
             domain: index in ``config.domains`` of the head each image takes; None leaves it to the router.
-            return_std: also return the standard deviation of the bin distribution.
-            return_bins: also return the bin centers and their probabilities.
+            return_std: True to return the standard deviation of the bin distribution as well.
+            return_bins: True to return the bin centers and their probabilities as well.
 
         Raises:
             InputError: wrong shape or size, a labeled router without labels, or a model without metric heads.
@@ -72,19 +70,21 @@ class ZoeDepth(DepthModel):
                 "Predictor.relative(photo), or train metric heads on it (zoedepth train --init)"
             )
         self.check(pixels, domain)
-        size = pixels.shape[-2:]
         features = self.shared(self.relative_features(pixels))
         routing = self.router(features.bottleneck, domain)
-        answer = self._apply_heads(features, routing, std=return_std, bins=return_bins)
-        return depth_output(answer, size, routing, upsample(features.relative, size))
+        groups = [
+            depth_output(head, relative, routed, size=pixels.shape[-2:], std=return_std, bins=return_bins)
+            for head, relative, routed in self._apply_heads(features, routing)
+        ]
+        return groups[0] if len(groups) == 1 else in_batch_order(groups, routing.domain)
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
-        """Relative depth alone, as MiDaS: inverse depth up to an unknown scale and shift, >= 0, near is large.
+        """Predict the relative depth alone, as MiDaS: inverse depth up to scale and shift, >= 0, near is large.
 
         Stage 1 trains it; the loss of stage 2 does not keep it right.
 
         Args:
-            pixels: as in ``forward``.
+            pixels: see ``forward``.
 
         Raises:
             InputError: wrong shape or size.
@@ -93,42 +93,27 @@ class ZoeDepth(DepthModel):
         return upsample(self.relative_features(pixels).relative, pixels.shape[-2:])
 
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
-        """Stage 1's part of the model: encoder and decoder, with the relative depth, at the decoder's resolution."""
+        """Encode and decode: the part that stage 1 trains. The maps have the decoder's resolution."""
         return self.decoder(self.encoder(normalize(pixels)))
 
-    def _apply_heads(self, features: Any, routing: Routing, *, std: bool, bins: bool) -> Answer:
-        """What the heads say, each of its own images, in the order of the batch."""
+    def _apply_heads(self, features: HeadFeatures, routing: Routing) -> Iterator[tuple[HeadOutput, Tensor, Routing]]:
+        """Apply each head to its own images, or, where the router asks for a mixture, all heads to all images.
+
+        Yields:
+            For each group of images: the head's output, their relative depth, and their routing.
+        """
         if routing.weight is not None:
-            return mixed([head(features) for head in self.heads], routing.weight).answer(std=std, bins=bins)
-        groups = [(routing.domain == index).nonzero().flatten() for index in range(len(self.heads))]
-        said = [
-            head(_take(features, rows)).answer(std=std, bins=bins)
-            for head, rows in zip(self.heads, groups, strict=True)
-            if len(rows)
-        ]
-        return said[0] if len(said) == 1 else _stitch(said, torch.cat(groups).argsort())
+            yield mixed([head(features) for head in self.heads], routing.weight), features.relative, routing
+            return
+        for index, head in enumerate(self.heads):
+            rows = (routing.domain == index).nonzero().flatten()
+            if len(rows) == len(routing.domain):  # all images take this head: nothing to copy
+                yield head(features), features.relative, routing
+            elif len(rows):
+                own = features.rows(rows)
+                yield head(own), own.relative, routing.rows(rows)
 
 
 def normalize(pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 3 height width"]:
-    """[0, 1] to [-1, 1]: mean and standard deviation 0.5, for every encoder (MiDaS v3.1; not ImageNet's)."""
+    """Map [0, 1] to [-1, 1], for every encoder: mean and standard deviation 0.5, as MiDaS v3.1 (not ImageNet's)."""
     return 2 * pixels - 1
-
-
-def _take(features: Any, rows: Int[Tensor, " rows"]) -> Any:
-    """The given images of every map of a NamedTuple."""
-    if all(len(rows) == len(x) for x in features if isinstance(x, Tensor)):
-        return features  # all of them, in order: nothing to copy
-    return type(features)(*(
-        x[rows] if isinstance(x, Tensor) else tuple(level[rows] for level in x) for x in features
-    ))  # fmt: skip
-
-
-def _stitch(parts: list[Any], order: Int[Tensor, " batch"]) -> Any:
-    """What was said of groups of images, tensors in tuples of tuples, back in the order of the batch."""
-    first = parts[0]
-    if isinstance(first, Tensor):
-        return torch.cat(parts)[order]
-    if not isinstance(first, tuple):
-        return first  # nothing: None
-    fields = [_stitch(list(field), order) for field in zip(*parts, strict=True)]
-    return type(first)(*fields) if hasattr(first, "_fields") else type(first)(fields)

@@ -11,9 +11,11 @@ from torch import Tensor, nn
 import zoedepth.model.heads.probability
 from zoedepth.config import Domain, ModelConfig
 from zoedepth.data.sample import Batch
-from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads import HEADS, HeadOutput
+from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.interface import DepthOutput
+from zoedepth.model.upsample import upsample
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import ZOED_LITE
 from zoedepth.train.config import TrainConfig
@@ -132,9 +134,10 @@ class HeadTester:
         assert output.depth.shape == (2, 1, size[0] // stride, size[1] // stride)
         assert output.depth.dtype == torch.float32
         assert (output.distribution is not None) == self.HAS_BINS
-        answer = output.answer(std=False, bins=True)
-        for bins in (answer.bin_centers, answer.probability):
-            assert bins is None or (bins.shape[-2:] == output.depth.shape[-2:] and bins.dtype == torch.float32)
+        if output.distribution is not None:
+            for bins in (output.distribution.bin_centers, output.distribution.probability):
+                assert bins.shape[-2:] == output.depth.shape[-2:]
+                assert bins.dtype == torch.float32
 
     def test_depth_is_positive_metres_inside_the_promised_range(self, head: Head):
         for factor in (0.0, 1.0, 30.0):
@@ -149,7 +152,9 @@ class HeadTester:
         for factor in (1.0, 30.0):
             output = head(scaled(decoder_features((64, 64)), factor))
             if output.distribution is None:
-                assert output.answer(std=True, bins=True)[1:4] == (None, None, None)
+                depth, std = output.depth_and_std()
+                assert torch.equal(depth, output.depth)
+                assert std is None
                 return
             centers, probability = output.distribution.bin_centers, output.distribution.probability
             self.check_centers(centers, config)
@@ -158,7 +163,7 @@ class HeadTester:
             assert torch.allclose(total, torch.ones_like(total), atol=1e-5)
             expected = (probability.double() * centers.double()).sum(dim=1, keepdim=True)
             assert torch.allclose(output.depth.double(), expected, rtol=1e-5)
-            depth, std = output.answer(std=True, bins=False)[:2]
+            depth, std = output.depth_and_std()
             assert torch.equal(depth, output.depth)
             assert std is not None
             assert std.isfinite().all()
@@ -169,11 +174,11 @@ class HeadTester:
         whole = head(features)
         monkeypatch.setattr(zoedepth.model.heads.probability, "_BAND", 700)
         with torch.inference_mode():
-            banded = head(features).answer(std=True, bins=False)
-        expected = whole.answer(std=True, bins=False)
-        assert torch.allclose(banded.depth, expected.depth, rtol=1e-5)
-        if banded.std is not None and expected.std is not None:
-            assert torch.allclose(banded.std, expected.std, rtol=1e-3, atol=1e-3)
+            depth, std = head(features).depth_and_std()
+        expected_depth, expected_std = whole.depth_and_std()
+        assert torch.allclose(depth, expected_depth, rtol=1e-5)
+        if std is not None and expected_std is not None:
+            assert torch.allclose(std, expected_std, rtol=1e-3, atol=1e-3)
 
     def test_its_loss_gives_every_parameter_a_gradient(self, head: Head):
         loss_of(head(decoder_features((64, 64), batch=3)), (64, 64)).backward()
@@ -267,7 +272,9 @@ class HeadTester:
 
 def _same(one: Any, other: Any) -> bool:
     if isinstance(one, HeadOutput) and isinstance(other, HeadOutput):
-        one, other = (output.answer(std=False, bins=True) for output in (one, other))
+        one, other = ((output.depth, output.distribution, output.supervision) for output in (one, other))
+    if isinstance(one, BinDistribution) and isinstance(other, BinDistribution):
+        one, other = ((found.bin_centers, found.probability) for found in (one, other))
     if isinstance(one, Tensor) and isinstance(other, Tensor):
         return one.shape == other.shape and bool(torch.equal(one, other))
     if isinstance(one, tuple) and isinstance(other, tuple):

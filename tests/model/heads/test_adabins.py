@@ -56,7 +56,7 @@ def test_first_token_is_for_the_bins_and_the_next_are_kernels():
 
 def test_tokens_are_the_patches_row_by_row_with_their_positions():
     torch.manual_seed(0)
-    tokens = PatchTokens(3, replace(TINY, n_queries=4)).eval()
+    tokens = PatchTokens(3, width=8, patch=4, n_layers=1, attention_heads=2, feedforward_width=16, min_tokens=5).eval()
     tokens.transformer = nn.Identity()
     x = torch.randn(2, 3, 8, 12)  # 2 x 3 patches of 4 x 4
     found = tokens(x)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from zoedepth.config import INDOOR, OUTDOOR, Domain, ModelConfig, SplitterConfig
 from zoedepth.model.decoder import DecoderFeatures
-from zoedepth.model.heads.splitter import WINDOW_SIZES, BinSplitters, bin_centers, draw_boxes, pool_windows, split
+from zoedepth.model.heads.splitter import WINDOW_SIZES, bin_centers, draw_boxes, pool_windows, split
 from zoedepth.model.zoedepth import ZoeDepth
 
 TINY = SplitterConfig(
@@ -147,9 +147,12 @@ def test_single_pixel_of_a_head_by_hand():
     assert output.depth[0, 0, 5, 7].item() == pytest.approx(expected, abs=1e-5)
 
 
-def test_default_head_is_of_zoedepths_64_bins_and_the_native_one_of_256():
-    assert BinSplitters(8, SplitterConfig()).n_bins == 64
-    assert BinSplitters(8, SplitterConfig(n_seed_bins=16)).n_bins == 256
+@pytest.mark.parametrize(("n_seed_bins", "n_bins"), [(4, 64), (16, 256)])
+def test_default_head_has_the_64_bins_of_zoedepth_and_the_native_one_256(n_seed_bins: int, n_bins: int):
+    assert SplitterConfig().n_seed_bins == 4
+    head = build_head(replace(TINY, n_seed_bins=n_seed_bins))
+    assert head.domain.bins.n_bins == n_bins
+    assert head(decoder_features((32, 32))).distribution.bin_centers.shape[1] == n_bins
 
 
 # --- windows ----------------------------------------------------------------------------------------------------------

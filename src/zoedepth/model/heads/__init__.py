@@ -1,4 +1,4 @@
-"""Metric heads. One file a head; ``HEADS`` is the only list of them."""
+"""Metric heads, a file for each. ``HEADS`` is the only list of them."""
 
 from typing import NamedTuple
 
@@ -29,12 +29,15 @@ __all__ = ["HEADS", "HeadOutput", "HeadParts"]
 
 
 class HeadParts(NamedTuple):
-    """The classes of a head. Both take (decoder channels, head config), the domain's part its domain as well."""
+    """The two classes of a head.
+
+    Both are built from the decoder's channels and the head's config; the domain's part gets its domain as well.
+    """
 
     shared: type[nn.Module]
-    """Once a model: decoder features to what all domains' heads, and the router, look at (``.bottleneck``)."""
+    """Once for each model: turns decoder features into ``HeadFeatures``, which all domains' heads look at."""
     domain: type[nn.Module]
-    """Once a domain: the output of the shared part to a ``HeadOutput``."""
+    """Once for each domain: turns the output of the shared part into a ``HeadOutput``."""
 
 
 HEADS: dict[type[HeadConfig], HeadParts] = {
@@ -47,4 +50,4 @@ HEADS: dict[type[HeadConfig], HeadParts] = {
     DornConfig: HeadParts(shared=PassThrough, domain=DornHead),
     BtsConfig: HeadParts(shared=PassThrough, domain=BtsHead),
 }
-"""The config class of a head → its parts."""
+"""Config class of a head → its two classes."""

@@ -1,7 +1,7 @@
 """AdaBins: one set of bins for the whole image, from a small vision transformer (Bhat et al. 2021).
 
-The transformer looks at patches of the finest map. Its first token becomes the widths of the bins; the next ones are
-1x1 kernels over the map, whose answers become the probabilities (the original's ``miniViT.py``).
+The transformer looks at patches of the finest map. Its first token becomes the widths of the bins. The next ones are
+1x1 kernels over the map; their outputs become the probabilities (the original's ``miniViT.py``).
 """
 
 import math
@@ -12,10 +12,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.config import AdaBinsConfig, Domain
-from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads.output import HeadOutput, Supervision
 from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.heads.splitter import bin_centers
+from zoedepth.model.upsample import upsample
 
 N_POSITIONS = 500
 """Rows of the original's table of positions."""
@@ -31,33 +32,70 @@ class AdaBinsHead(nn.Module):
     def __init__(self, channels: DecoderChannels, config: AdaBinsConfig, domain: Domain) -> None:
         super().__init__()
         self.project = nn.Conv2d(channels.levels[-1], config.width, kernel_size=3, padding=1)
-        self.bins = ImageBins(config.width, config, domain)
+        self.bins = ImageBins(
+            config.width,
+            domain,
+            n_bins=config.n_bins,
+            width=config.width,
+            patch=config.patch,
+            n_layers=config.n_layers,
+            attention_heads=config.attention_heads,
+            feedforward_width=config.feedforward_width,
+            n_queries=config.n_queries,
+        )
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
-        """Depth in metres at stride 2, and the image's bin centers for the loss."""
+        """Predict depth in metres at stride 2, and the image's bin centers for the loss."""
         return self.bins(self.project(features.levels[-1]))
 
 
 class ImageBins(nn.Module):
-    """A map to depth, by bins of the whole image between the nearest and the farthest depth of the domain."""
+    """Predicts depth from a map, by bins of the whole image between the nearest and the farthest depth of the domain.
 
-    def __init__(self, channels: int, config: AdaBinsConfig, domain: Domain) -> None:
+    Args:
+        channels: channels of the map.
+        domain: the domain whose depths they are.
+        n_bins: number of bins of an image.
+        width, patch, n_layers, attention_heads, feedforward_width, n_queries: see ``AdaBinsConfig``.
+    """
+
+    def __init__(
+        self,
+        channels: int,
+        domain: Domain,
+        *,
+        n_bins: int,
+        width: int,
+        patch: int,
+        n_layers: int,
+        attention_heads: int,
+        feedforward_width: int,
+        n_queries: int,
+    ) -> None:
         super().__init__()
         self.domain = domain
-        self.n_queries = config.n_queries
-        self.tokens = PatchTokens(channels, config)
-        self.features = nn.Conv2d(channels, config.width, kernel_size=3, padding=1)
+        self.n_queries = n_queries
+        self.tokens = PatchTokens(
+            channels,
+            width=width,
+            patch=patch,
+            n_layers=n_layers,
+            attention_heads=attention_heads,
+            feedforward_width=feedforward_width,
+            min_tokens=n_queries + 1,
+        )
+        self.features = nn.Conv2d(channels, width, kernel_size=3, padding=1)
         self.widths = nn.Sequential(
-            nn.Linear(config.width, _HIDDEN),
+            nn.Linear(width, _HIDDEN),
             nn.LeakyReLU(),
             nn.Linear(_HIDDEN, _HIDDEN),
             nn.LeakyReLU(),
-            nn.Linear(_HIDDEN, config.n_bins),
+            nn.Linear(_HIDDEN, n_bins),
         )
-        self.probability = nn.Conv2d(config.n_queries, config.n_bins, kernel_size=1)
+        self.probability = nn.Conv2d(n_queries, n_bins, kernel_size=1)
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> HeadOutput:
-        """Depth in metres at the size of the map."""
+        """Predict depth in metres at the size of the map."""
         tokens = self.tokens(x)
         queries = tokens[:, 1 : self.n_queries + 1]
         attention = torch.einsum("bqc,bchw->bqhw", queries, self.features(x))
@@ -67,32 +105,48 @@ class ImageBins(nn.Module):
 
 
 def image_centers(scores: Float[Tensor, "batch bins"], domain: Domain) -> Float[Tensor, "batch bins"]:
-    """Middles of bins that fill the depth range, metres; widths are in proportion to ReLU(score) + 0.1 (Eqs. 1, 2)."""
+    """Compute the middles of bins that fill the depth range, metres.
+
+    The widths of the bins are in proportion to ReLU(score) + 0.1 (AdaBins Eqs. 1, 2).
+    """
     widths = F.relu(scores) + _EPS
     widths = widths / widths.sum(dim=1, keepdim=True)
     return bin_centers(widths[:, :, None, None], domain)[:, :, 0, 0]
 
 
 class PatchTokens(nn.Module):
-    """Patches of a map through a transformer: one token a patch, row by row, and no class token.
+    """Sends the patches of a map through a transformer: a token for each patch, row by row, and no class token.
 
-    The original fails on maps of more than 500 patches, or of fewer than one for each query and one for the widths.
-    Here, the table of positions is stretched linearly over more; where there are fewer, tokens are interpolated
-    bilinearly to a finer grid of about the same proportions. In between, it is the original.
+    The original fails on maps of more than 500 patches, and of fewer than ``min_tokens``. Here, the table of positions
+    is stretched linearly over more than 500; where there are too few patches, tokens are interpolated bilinearly to a
+    finer grid of about the same proportions. In between, it computes what the original computes.
+
+    Args:
+        channels: channels of the map.
+        width, patch, n_layers, attention_heads, feedforward_width: see ``AdaBinsConfig``.
+        min_tokens: number of tokens needed: one for the widths of the bins, and one for each query.
     """
 
-    def __init__(self, channels: int, config: AdaBinsConfig) -> None:
+    def __init__(
+        self,
+        channels: int,
+        *,
+        width: int,
+        patch: int,
+        n_layers: int,
+        attention_heads: int,
+        feedforward_width: int,
+        min_tokens: int,
+    ) -> None:
         super().__init__()
-        self.min_tokens = config.n_queries + 1
-        self.embed = nn.Conv2d(channels, config.width, kernel_size=config.patch, stride=config.patch)
-        self.positions = nn.Parameter(torch.rand(N_POSITIONS, config.width))
-        layer = nn.TransformerEncoderLayer(
-            config.width, config.attention_heads, config.feedforward_width, dropout=0.1, batch_first=True
-        )
-        self.transformer = nn.TransformerEncoder(layer, config.n_layers, enable_nested_tensor=False)
+        self.min_tokens = min_tokens
+        self.embed = nn.Conv2d(channels, width, kernel_size=patch, stride=patch)
+        self.positions = nn.Parameter(torch.rand(N_POSITIONS, width))
+        layer = nn.TransformerEncoderLayer(width, attention_heads, feedforward_width, dropout=0.1, batch_first=True)
+        self.transformer = nn.TransformerEncoder(layer, n_layers, enable_nested_tensor=False)
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> Float[Tensor, "batch tokens embedding"]:
-        """Tokens of the map, whose sides are at least those of a patch."""
+        """Return the tokens of the map, whose sides must be at least those of a patch."""
         grid = self.embed(x)
         grid = upsample(grid, torch.Size(enough(grid.shape[-2], grid.shape[-1], self.min_tokens)))
         tokens = grid.flatten(2).transpose(1, 2)
@@ -100,13 +154,13 @@ class PatchTokens(nn.Module):
 
 
 def enough(rows: int, columns: int, n: int) -> tuple[int, int]:
-    """Rows and columns of a grid of at least ``n`` cells and about the same proportions; the same if it has them."""
+    """Return rows and columns of a grid with at least ``n`` cells and about the proportions of the given one."""
     factor = math.sqrt(max(n / (rows * columns), 1))
     return math.ceil(rows * factor), math.ceil(columns * factor)
 
 
 def stretched(table: Float[Tensor, "rows channels"], n: int) -> Float[Tensor, "n channels"]:
-    """The first ``n`` rows of a table; if it has fewer, all of them, interpolated linearly to ``n``."""
+    """Return the first ``n`` rows of a table; if it has fewer, interpolate all of them linearly to ``n``."""
     if n <= len(table):
         return table[:n]
     return F.interpolate(table.T[None], size=n, mode="linear", align_corners=True)[0].T

@@ -1,7 +1,7 @@
 """The metric bins module: seed bins at the bottleneck, pulled by attractors on the way up (paper section 3.2).
 
-It comes in two parts. ``BinEmbedding`` turns decoder features into bin embeddings and is shared by the domains;
-``AttractorHead`` turns embeddings into depth and exists once a domain (released ``zoedepth_nk_v1.py``).
+It has two parts. ``BinEmbedding`` turns decoder features into bin embeddings and is shared by the domains;
+``AttractorHead`` turns embeddings into depth, and each domain has one (released ``zoedepth_nk_v1.py``).
 """
 
 import math
@@ -10,20 +10,21 @@ from typing import Any, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.config import AttractorConfig, Domain
-from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads.output import HeadOutput
-from zoedepth.model.heads.probability import LogBinomial, Softmax
+from zoedepth.model.heads.probability import build_probability
+from zoedepth.model.upsample import upsample
 
 _EPS = 1e-3
 """Added to normed widths and attractors, so that no bin is empty (released ``attractor.py``)."""
 
 
 class BinEmbeddings(NamedTuple):
-    """What an attractor head sees."""
+    """The output of ``BinEmbedding``, and the input of every attractor head."""
 
     bottleneck: Float[Tensor, "batch channels _ _"]
     """Stride 32: the decoder bottleneck after one convolution; the router sees it too."""
@@ -34,21 +35,26 @@ class BinEmbeddings(NamedTuple):
     last: Float[Tensor, "batch features height width"]
     relative: Float[Tensor, "batch 1 height width"]
 
+    def rows(self, rows: Int[Tensor, " rows"]) -> "BinEmbeddings":
+        """Take some images of the batch."""
+        levels = tuple(level[rows] for level in self.levels)
+        return BinEmbeddings(self.bottleneck[rows], self.seed[rows], levels, self.last[rows], self.relative[rows])
+
 
 def inverse_attractor(distance: Tensor, *, alpha: float, gamma: float) -> Tensor:
-    """Eq. 2 for one attractor: (a_k - c_i) / (1 + alpha |a_k - c_i| ** gamma), given the distance a_k - c_i."""
-    if gamma == 2:  # as in every model of the paper: one pass over memory less
+    """Compute Eq. 2 for one attractor, given d = a_k - c_i: d / (1 + alpha |d| ** gamma)."""
+    if gamma == 2:  # the value of every model of the paper: one pass over memory less
         return distance / torch.addcmul(distance.new_ones(()), distance, distance, value=alpha)
     return distance / (1 + alpha * _power(distance, gamma))
 
 
 def exponential_attractor(distance: Tensor, *, alpha: float, gamma: float) -> Tensor:
-    """Eq. 3 for one attractor: (a_k - c_i) exp(-alpha |a_k - c_i| ** gamma), given the distance a_k - c_i."""
+    """Compute Eq. 3 for one attractor, given d = a_k - c_i: d exp(-alpha |d| ** gamma)."""
     return distance * torch.exp(-alpha * _power(distance, gamma))
 
 
 def _power(distance: Tensor, gamma: float) -> Tensor:
-    # gamma is 2 in every model of the paper, and then the absolute value is two passes over memory for nothing.
+    # gamma is 2 in every model of the paper. Then the absolute value would be two passes over memory for nothing.
     return distance.square() if gamma == 2 else distance.abs() ** gamma
 
 
@@ -76,13 +82,17 @@ def attract(
 def normed_centers(
     widths: Float[Tensor, "batch bins height width"],
 ) -> Float[Tensor, "batch bins height width"]:
-    """Middles of consecutive bins of the given positive widths, as fractions of their total: increasing in (0, 1)."""
+    """Return the middles of consecutive bins, as fractions of their total width: increasing, in (0, 1).
+
+    Args:
+        widths: widths of the bins, positive, in any unit.
+    """
     widths = widths / widths.sum(dim=1, keepdim=True)
     return widths.cumsum(dim=1) - widths / 2
 
 
 class BinEmbedding(nn.Module):
-    """Decoder features to bin embeddings: one two-layer 1x1 MLP a level (``Projector``), shared by the domains."""
+    """Makes bin embeddings of decoder features: a two-layer 1x1 MLP for each level (``Projector``), for all domains."""
 
     def __init__(self, channels: DecoderChannels, config: AttractorConfig) -> None:
         super().__init__()
@@ -92,7 +102,7 @@ class BinEmbedding(nn.Module):
         self.levels = nn.ModuleList(_mlp(level, hidden, width) for level in channels.levels)
 
     def forward(self, features: DecoderFeatures) -> BinEmbeddings:
-        """Embed every level; the last map and the relative depth pass through."""
+        """Embed every level; pass the last map and the relative depth through."""
         bottleneck = self.bottleneck(features.bottleneck)
         levels = tuple(project(x) for project, x in zip(self.levels, features.levels, strict=True))
         return BinEmbeddings(bottleneck, self.seed(bottleneck), levels, features.last, features.relative)
@@ -101,7 +111,7 @@ class BinEmbedding(nn.Module):
 class AttractorLayer(nn.Module):
     """Predicts the attractor points of each pixel from its bin embedding.
 
-    They are metres (softplus) or, for normed centers, fractions of the depth range.
+    The points are metres (softplus) or, for normed centers, fractions of the depth range.
     """
 
     def __init__(self, channels: int, n_attractors: int, *, normed: bool, ratio: bool) -> None:
@@ -136,42 +146,42 @@ class AttractorHead(nn.Module):
             for n in config.n_attractors
         )
         probability_channels = channels.last + int(config.relative_input) + config.embedding_width
-        if config.probability == "log-binomial":
-            self.probability = LogBinomial(
-                probability_channels,
-                config.n_bins,
-                bottleneck_factor=config.bottleneck_factor,
-                min_temperature=config.min_temperature,
-                max_temperature=config.max_temperature,
-            )
-        else:
-            self.probability = Softmax(probability_channels, config.n_bins, bottleneck_factor=config.bottleneck_factor)
+        self.probability = build_probability(
+            config.probability,
+            probability_channels,
+            config.n_bins,
+            bottleneck_factor=config.bottleneck_factor,
+            min_temperature=config.min_temperature,
+            max_temperature=config.max_temperature,
+        )
         if config.initial_centers == "geometric":
             self._spread_centers()
 
     def forward(self, embeddings: BinEmbeddings) -> HeadOutput:
-        """Depth in metres at the size of ``embeddings.last``."""
+        """Predict depth in metres at the size of ``embeddings.last``."""
         centers = self.centers(self.points(embeddings), self.domain.min_depth, self.domain.max_depth)
         return self.output(embeddings, centers)
 
     def points(self, embeddings: BinEmbeddings) -> list[Tensor]:
-        """All that this domain's weights say of the bins: seeds before their activation, and attractors level by level.
+        """Predict the points that the bin centers are made of.
 
-        Seeds are (batch, bins, rows, columns) at the bottleneck, attractors (batch, attractors, rows, columns).
+        Returns:
+            The seeds before their activation, (batch, bins, rows, columns) at the bottleneck; then the attractors of
+            each level, (batch, attractors, rows, columns).
         """
         points, previous = [self.seed(embeddings.bottleneck).float()], embeddings.seed
         for layer, embedding in zip(self.attractors, embeddings.levels, strict=True):
-            # As released, the next level is given this level's embedding, not the sum.
+            # As in the released code, the next level gets this level's embedding, not the sum.
             points.append(layer(embedding + upsample(previous, embedding.shape[-2:])))
             previous = embedding
         return points
 
     def centers(self, points: list[Tensor], low: Any, high: Any) -> Float[Tensor, "batch bins height width"]:
-        """The bin centers, metres, at the size of the last attractors.
+        """Compute the bin centers, metres, at the size of the last attractors.
 
         Args:
-            points: see ``points``.
-            low, high: what bounds them, where they are bounded, metres: numbers, or (batch, 1, 1, 1).
+            points: the result of ``points``.
+            low, high: bounds of the centers, where they have some, metres: numbers, or tensors (batch, 1, 1, 1).
         """
         config, (seeds, *attractors) = self.config, points
         centers = normed_centers(F.relu(seeds) + _EPS) if config.centers == "normed" else F.softplus(seeds)
@@ -182,17 +192,17 @@ class AttractorHead(nn.Module):
             )  # fmt: skip
         if config.centers == "normed":  # fractions of the range so far
             return (low + (high - low) * centers).sort(dim=1).values.clamp(low, high)
-        # A mean of pulls stays among the points, which are positive; a sum may overshoot below zero.
+        # The mean of the pulls leaves a center among the points, which are positive. Their sum may push it below zero.
         return centers.clamp(min=low) if config.reduce == "sum" else centers
 
     def output(self, embeddings: BinEmbeddings, centers: Float[Tensor, "batch bins height width"]) -> HeadOutput:
-        """The distribution over bins at these centers."""
+        """Predict the distribution over bins at these centers."""
         inputs = [embeddings.last, embeddings.relative] if self.config.relative_input else [embeddings.last]
         last = embeddings.levels[-1] if embeddings.levels else embeddings.seed
         return HeadOutput(self.probability([*inputs, last], centers))
 
     def _spread_centers(self) -> None:
-        """Start with seed centers, and the attractors, spread geometrically over the depth range (from 5 % of it)."""
+        """Spread the first seed centers and attractors geometrically over the depth range, from 5 % of it on."""
         low, high = max(self.domain.min_depth, 0.05 * self.domain.max_depth), self.domain.max_depth
         for mlp in [self.seed, *(layer.mlp for layer in self.attractors)]:
             last = mlp[-1]
@@ -202,5 +212,5 @@ class AttractorHead(nn.Module):
 
 
 def _mlp(channels: int, hidden: int, output_channels: int) -> nn.Sequential:
-    """Two 1x1 convolutions with a ReLU between: an MLP at every pixel."""
+    """Build an MLP for every pixel: two 1x1 convolutions with a ReLU between them."""
     return nn.Sequential(nn.Conv2d(channels, hidden, 1), nn.ReLU(), nn.Conv2d(hidden, output_channels, 1))

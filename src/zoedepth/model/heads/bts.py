@@ -1,6 +1,6 @@
 """BTS's head: depth from planes at strides 8, 4 and 2, by local planar guidance (Lee et al. 2019).
 
-The decoder of BTS itself, with dense ASPP, is in ``baselines/bts.py``; what both share is here.
+The decoder of BTS itself, with dense ASPP, is in ``baselines/bts.py`` and uses the planes of this file.
 """
 
 import math
@@ -11,15 +11,16 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from zoedepth.config import BtsConfig, Domain
-from zoedepth.model.decoder import DecoderChannels, DecoderFeatures, upsample
+from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads.output import HeadOutput
+from zoedepth.model.upsample import upsample
 
 Planes = Float[Tensor, "batch 4 rows columns"]
 """A plane at every pixel: its unit normal (n1, n2, n3), and its distance as a fraction of the farthest depth."""
 
 
 def plane_coefficients(x: Float[Tensor, "batch 3 rows columns"]) -> Planes:
-    """Planes of free numbers: tilt up to 60 degrees, any direction, distance up to the farthest depth.
+    """Make planes of free numbers: tilt up to 60 degrees, any direction, distance up to the farthest depth.
 
     theta = s(x1) pi / 3, phi = s(x2) 2 pi, n = (sin theta cos phi, sin theta sin phi, cos theta), n4 = s(x3), with s
     the sigmoid (BTS section 3.3; ``bts.py::reduction_1x1``).
@@ -30,13 +31,14 @@ def plane_coefficients(x: Float[Tensor, "batch 3 rows columns"]) -> Planes:
 
 
 def planar_depth(planes: Planes, *, factor: int) -> Float[Tensor, "batch 1 height width"]:
-    """Each plane as the depths of the ``factor`` x ``factor`` fine pixels under it: n4 / (n1 u + n2 v + n3).
+    """Compute the depths of the ``factor`` x ``factor`` fine pixels under each plane: n4 / (n1 u + n2 v + n3).
 
-    u and v are the columns and rows of a fine pixel from the middle of the plane's cell, whose side is 1. (BTS Eq. 1;
-    ``bts.py::local_planar_guidance``. It is singular where a plane of nearly 60 degrees ends at a corner of 8 x 8.)
+    u and v are the column and the row of a fine pixel, from the middle of the plane's cell, whose side is 1. (BTS
+    Eq. 1; ``bts.py::local_planar_guidance``. It is singular where a plane of nearly 60 degrees ends at a corner of
+    8 x 8.)
 
     Returns:
-        Fractions of the farthest depth, for distances that are.
+        Depth in the unit of n4: fractions of the farthest depth.
     """
     k = factor
     offsets = (torch.arange(k, device=planes.device, dtype=planes.dtype) - (k - 1) / 2) / k
@@ -47,9 +49,9 @@ def planar_depth(planes: Planes, *, factor: int) -> Float[Tensor, "batch 1 heigh
 
 
 def narrowing(channels: int, hidden: int, output_channels: int) -> nn.Sequential:
-    """1x1 convolutions to ``hidden`` channels and on to ever half as many, down to 8 or a few more, then to the output.
+    """Build 1x1 convolutions that halve the channels from ``hidden`` down to 8 or a few more, then give the output.
 
-    ELU between them, no biases (``bts.py::reduction_1x1``).
+    There is an ELU between them, and they have no biases (``bts.py::reduction_1x1``).
     """
     layers: list[nn.Module] = []
     while hidden >= 8:
@@ -59,7 +61,7 @@ def narrowing(channels: int, hidden: int, output_channels: int) -> nn.Sequential
 
 
 class PlanarGuidance(nn.Module):
-    """A coarse map as a depth map ``factor`` times as fine, made of planes."""
+    """Makes a depth map of planes, ``factor`` times as fine as its input."""
 
     def __init__(self, channels: int, hidden: int, *, factor: int) -> None:
         super().__init__()
@@ -67,12 +69,12 @@ class PlanarGuidance(nn.Module):
         self.factor = factor
 
     def forward(self, x: Float[Tensor, "batch channels rows columns"]) -> Float[Tensor, "batch 1 height width"]:
-        """Depth as a fraction of the farthest, float32."""
+        """Predict depth as a fraction of the farthest, float32."""
         return planar_depth(plane_coefficients(self.planes(x).float()), factor=self.factor)
 
 
 def convolution(channels: int, output_channels: int) -> nn.Sequential:
-    """3x3, no bias, ELU."""
+    """Build a 3x3 convolution without bias, and an ELU."""
     return nn.Sequential(nn.Conv2d(channels, output_channels, 3, padding=1, bias=False), nn.ELU())
 
 
@@ -91,10 +93,10 @@ class BtsHead(nn.Module):
         self.depth = nn.Conv2d(config.width, 1, 3, padding=1, bias=False)
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
-        """Depth in metres at the size of ``features.last``, up to the farthest of the domain."""
+        """Predict depth in metres at the size of ``features.last``, up to the farthest of the domain."""
         size = features.last.shape[-2:]
         planes = [
-            upsample(guide(level(x)), size)  # from stride 1: nothing to do where the last map is there too
+            upsample(guide(level(x)), size)  # the planes are at stride 1, where the last map usually is too
             for guide, level, x in zip(self.guidance, self.levels, features.levels[1:], strict=True)
         ]
         x = self.depth(self.fuse(torch.cat([features.last, *planes], dim=1)))

@@ -12,11 +12,12 @@ from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads.output import HeadOutput
 
 _INITIAL_STD = 1e-3
-"""Of the last weights: relative depth may be in the thousands, and a new head is to say its initial depth anyway."""
+"""Standard deviation of the last weights. It is small because relative depth may be in the thousands, and a new head
+should predict its initial depth all the same."""
 
 
 class NaiveHead(nn.Module):
-    """Metric depth of one domain: a convolution, ReLU, a 1x1 convolution, softplus. The domain's range is not used."""
+    """Metric depth of one domain: 3x3 convolution, ReLU, 1x1 convolution, softplus. It ignores the domain's range."""
 
     def __init__(self, channels: DecoderChannels, config: NaiveConfig, domain: Domain) -> None:
         super().__init__()
@@ -30,6 +31,6 @@ class NaiveHead(nn.Module):
         nn.init.constant_(bias, initial)
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
-        """Depth in metres, without an upper bound, at the size of ``features.last``."""
+        """Predict depth in metres, without an upper bound, at the size of ``features.last``."""
         x = torch.cat([features.last, features.relative], dim=1) if self.relative_input else features.last
         return HeadOutput(F.softplus(self.conv2(F.relu(self.conv1(x))).float()))

@@ -1,8 +1,8 @@
 """NeWCRFs: fully-connected conditional random fields inside windows, as attention (Yuan et al. 2022).
 
-At every level, features say how much each pixel agrees with each other pixel of its window, which weighs what the
-coarser level says of them (its values); the result, pixels shuffled out of its channels, is the value of the next
-level. (NeWCRFs ``newcrf_layers.py``, ``uper_crf_head.py``, ``NewCRFDepth.py``.)
+At every level, features say how much each pixel agrees with each other pixel of its window. These weights average the
+values, which are what the coarser level says of the pixels. The result, with pixels shuffled out of its channels, is
+the value of the next level. (NeWCRFs ``newcrf_layers.py``, ``uper_crf_head.py``, ``NewCRFDepth.py``.)
 """
 
 import torch
@@ -15,18 +15,18 @@ from zoedepth.model.decoder import DecoderChannels, DecoderFeatures
 from zoedepth.model.heads.output import HeadOutput
 
 NATIVE_WINDOW, NATIVE_BLOCKS = 7, 2
-"""Side of the windows and blocks of a level of NeWCRFs itself."""
+"""NeWCRFs' own side of the windows, and number of blocks in a level."""
 
 
 def pad_to_windows(x: Float[Tensor, "batch rows columns channels"], window: int) -> Float[Tensor, "batch _ _ channels"]:
-    """Zeros at the right and at the bottom, up to whole windows. Attention looks at them as at all others."""
+    """Pad with zeros at the right and at the bottom, up to whole windows. Attention looks at them like at any token."""
     return F.pad(x, (0, 0, 0, -x.shape[2] % window, 0, -x.shape[1] % window))
 
 
 def to_windows(
     x: Float[Tensor, "batch rows columns channels"], window: int
 ) -> Float[Tensor, "batch windows tokens channels"]:
-    """Cut a map of whole windows; windows, and the tokens in them, row by row."""
+    """Cut a map into whole windows. The windows, and the tokens in them, are in order row by row."""
     batch, rows, columns, channels = x.shape
     x = x.reshape(batch, rows // window, window, columns // window, window, channels)
     return x.transpose(2, 3).reshape(batch, -1, window * window, channels)
@@ -35,7 +35,7 @@ def to_windows(
 def from_windows(
     x: Float[Tensor, "batch windows tokens channels"], size: tuple[int, int], window: int
 ) -> Float[Tensor, "batch rows columns channels"]:
-    """The inverse of ``to_windows``, given (rows, columns)."""
+    """Join the windows of ``to_windows`` to a map of (rows, columns)."""
     (rows, columns), (batch, _, _, channels) = size, x.shape
     x = x.reshape(batch, rows // window, columns // window, window, window, channels)
     return x.transpose(2, 3).reshape(batch, rows, columns, channels)
@@ -44,9 +44,12 @@ def from_windows(
 def same_side_of_the_wrap(
     size: tuple[int, int], window: int, shift: int, device: torch.device | None = None
 ) -> Bool[Tensor, "windows 1 tokens tokens"]:
-    """True where, after a map was rolled by ``-shift`` both ways, two tokens of a window were neighbours before.
+    """Mark the pairs of tokens of a window that were on one side of the map before it was rolled by ``-shift``.
 
-    The last ``shift`` rows and columns of the rolled map came from the other end of it.
+    The last ``shift`` rows and columns of the rolled map came from its other end.
+
+    Returns:
+        True where both tokens of a pair come from the same side.
     """
     rows, columns = (torch.arange(side, device=device) >= side - shift for side in size)
     region = to_windows((2 * rows[:, None] + columns)[None, :, :, None], window)[0]
@@ -54,7 +57,7 @@ def same_side_of_the_wrap(
 
 
 def relative_positions(window: int, device: torch.device | None = None) -> Int[Tensor, "tokens tokens"]:
-    """For each two tokens of a window, the row of the bias table that belongs to where one lies from the other."""
+    """Return the row of the bias table for each pair of tokens of a window, which depends on their offset."""
     place = torch.arange(window, device=device)
     offset = place[:, None] - place + window - 1
     rows, columns = offset[:, None, :, None], offset[None, :, None, :]
@@ -68,7 +71,10 @@ def window_attention(
     bias: Float[Tensor, "heads tokens tokens"],
     allowed: Bool[Tensor, "windows 1 tokens tokens"] | None,
 ) -> Float[Tensor, "batch windows heads tokens channels"]:
-    """softmax_j(q_i k_j / sqrt(channels) + bias_ij) v_j, over the tokens j that i may look at; softmax in float32."""
+    """Compute softmax_j(q_i k_j / sqrt(channels) + bias_ij) v_j, over the tokens j that i may look at.
+
+    The softmax is computed in float32.
+    """
     logits = (q * q.shape[-1] ** -0.5 @ k.transpose(-2, -1)).float() + bias
     if allowed is not None:
         logits = logits.masked_fill(~allowed, -torch.inf)
@@ -76,7 +82,7 @@ def window_attention(
 
 
 class WindowAttention(nn.Module):
-    """Queries and keys from the features, values as they are given, a bias for each relative position."""
+    """Attention inside windows: queries and keys of the features, given values, a bias for each relative position."""
 
     def __init__(self, width: int, *, n_heads: int, window: int) -> None:
         super().__init__()
@@ -92,7 +98,7 @@ class WindowAttention(nn.Module):
         v: Float[Tensor, "batch windows tokens width"],
         allowed: Bool[Tensor, "windows 1 tokens tokens"] | None,
     ) -> Float[Tensor, "batch windows tokens width"]:
-        """What each token gathers from its window."""
+        """Gather, for each token, values from its window."""
         q, k = self.queries_keys(x).chunk(2, dim=-1)
         q, k, v = (part.unflatten(-1, (self.n_heads, -1)).transpose(2, 3) for part in (q, k, v))
         bias = self.bias_table[relative_positions(self.window, x.device)].permute(2, 0, 1)
@@ -114,7 +120,7 @@ class CrfBlock(nn.Module):
     def forward(
         self, x: Float[Tensor, "batch rows columns width"], v: Float[Tensor, "batch rows columns width"]
     ) -> Float[Tensor, "batch rows columns width"]:
-        """New features; the values stay those of the coarser level."""
+        """Return new features; the values stay those of the coarser level."""
         x = x + self._gather(self.norm1(x), v)
         return x + self.mlp(self.norm2(x))
 
@@ -133,7 +139,7 @@ class CrfBlock(nn.Module):
 
 
 class CrfLevel(nn.Module):
-    """All rounds of one level. Features and values are brought to its width where they have another."""
+    """All rounds of one level. Convolutions bring features and values to its width where they have another."""
 
     def __init__(
         self, channels: int, value_channels: int, width: int, *, n_heads: int, window: int, n_blocks: int
@@ -149,7 +155,7 @@ class CrfLevel(nn.Module):
     def forward(
         self, x: Float[Tensor, "batch channels rows columns"], v: Float[Tensor, "batch value_channels rows columns"]
     ) -> Float[Tensor, "batch width rows columns"]:
-        """The level's result, from its features and the values of the level before it."""
+        """Compute the level's result from its features and the values of the level before it."""
         x, v = self.features(x).permute(0, 2, 3, 1), self.values(v).permute(0, 2, 3, 1)
         for block in self.blocks:
             x = block(x, v)
@@ -161,10 +167,10 @@ def _to_width(channels: int, width: int) -> nn.Module:
 
 
 class PyramidPooling(nn.Module):
-    """The first value, with the whole image in view: averages over 1, 2x2, 3x3 and 6x6 regions beside the features.
+    """Makes the first value, with the whole image in view: averages over 1, 2x2, 3x3 and 6x6 regions and the features.
 
-    All four branches are normalised in groups of two channels: the original means to do so only where batch
-    normalisation cannot be, with a single region, but keeps to it from there on.
+    All four branches are normalised in groups of two channels. The original means to do so only for the single region,
+    where batch normalisation is impossible, but its code does it for the following ones too.
     """
 
     def __init__(self, channels: int, width: int) -> None:
@@ -185,7 +191,7 @@ class PyramidPooling(nn.Module):
         )
 
     def forward(self, x: Float[Tensor, "batch channels rows columns"]) -> Float[Tensor, "batch width rows columns"]:
-        """Same size."""
+        """Compute the value; its size is that of the input."""
         pooled = [F.interpolate(region(x), size=x.shape[-2:], mode="bilinear") for region in self.regions]
         return self.join(torch.cat([x, *pooled], dim=1))
 
@@ -194,11 +200,12 @@ class Crfs(nn.Module):
     """Four levels, coarse to fine.
 
     Args:
-        channels: of the features at strides 32, 16, 8, 4.
-        seed: makes the first value, of ``seed_width`` channels, from the coarsest features.
-        widths, attention_heads: of the levels.
+        channels: channels of the features at strides 32, 16, 8, 4.
+        seed: module that makes the first value from the coarsest features.
+        seed_width: channels of the first value.
+        widths, attention_heads: channels and attention heads of the levels.
         window: side of the windows.
-        n_blocks: blocks of each level, every second one shifted by half a window.
+        n_blocks: number of blocks of each level; every second one is shifted by half a window.
     """
 
     def __init__(
@@ -221,7 +228,7 @@ class Crfs(nn.Module):
         )
 
     def forward(self, maps: tuple[Float[Tensor, "batch _ _ _"], ...]) -> Float[Tensor, "batch _ rows columns"]:
-        """The result of the finest level, from the features of all, coarse to fine, each twice the size of the last."""
+        """Compute the finest level's result from the features of all levels, coarse to fine, each twice as large."""
         x = self.levels[0](maps[0], self.seed(maps[0]))
         for level, features in zip(self.levels[1:], maps[1:], strict=True):
             x = level(features, F.pixel_shuffle(x, 2))
@@ -229,7 +236,7 @@ class Crfs(nn.Module):
 
 
 class SigmoidDepth(nn.Module):
-    """Depth between 0 and the farthest of its domain, four times the size of its input."""
+    """Predicts depth between 0 and the farthest of its domain, at four times the size of its input."""
 
     def __init__(self, channels: int, domain: Domain) -> None:
         super().__init__()
@@ -237,16 +244,16 @@ class SigmoidDepth(nn.Module):
         self.max_depth = domain.max_depth
 
     def forward(self, x: Float[Tensor, "batch channels rows columns"]) -> HeadOutput:
-        """Metres."""
+        """Predict depth in metres."""
         share = self.conv(x).float().sigmoid()
-        # Not aligned at the corners, unlike everything else here: as the original, whose weights expect it.
+        # Unlike everywhere else in this package, corners are not aligned: the original's weights expect it.
         return HeadOutput(self.max_depth * F.interpolate(share, scale_factor=4, mode="bilinear"))
 
 
 class NewCrfsHead(nn.Module):
-    """Depth of one domain by NeWCRFs' levels on the decoder's (the paper's modification of it, its Table 2).
+    """Metric depth of one domain: NeWCRFs' levels on the decoder's levels (the paper's modification, its Table 2).
 
-    The decoder's level at stride 2 stays unused: NeWCRFs ends at stride 4 as well.
+    The decoder's level at stride 2 stays unused: NeWCRFs ends at stride 4 too.
     """
 
     def __init__(self, channels: DecoderChannels, config: NewCrfsConfig, domain: Domain) -> None:
@@ -268,5 +275,5 @@ class NewCrfsHead(nn.Module):
         self.depth = SigmoidDepth(config.widths[3], domain)
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
-        """Depth in metres at the size of the photo."""
+        """Predict depth in metres at the size of the photo."""
         return self.depth(self.crfs((features.bottleneck, *features.levels[:3])))

@@ -1,9 +1,10 @@
-"""What a metric head says: depth, the distribution behind it where there is one, and what its own loss needs."""
+"""The output of a metric head: depth, the distribution behind it where there is one, and what its own loss needs."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple, Protocol
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from zoedepth.config.heads import HeadConfig
@@ -12,10 +13,10 @@ from zoedepth.model.heads.probability import BinDistribution
 
 
 class Ordinal(NamedTuple):
-    """Of ordinal regression: whether depth lies beyond each interval (DORN)."""
+    """Ordinal regression: for each interval of depth, a logit that the depth lies beyond it (DORN)."""
 
     logits: Float[Tensor, "batch intervals rows columns"]
-    """Of the probability that depth is beyond interval k, k = 0 being the nearest."""
+    """Logits of the probability that depth is beyond interval k; k = 0 is the nearest."""
     edges: Float[Tensor, "batch edges"]
     """Metres: where the intervals of each image's domain begin and end, one more than there are intervals."""
 
@@ -30,26 +31,35 @@ class WindowBins(NamedTuple):
 
 
 class Supervision(NamedTuple):
-    """What the loss of a head needs beside its depth. A head gives what its own loss needs, and nothing else."""
+    """The inputs of a head's own loss beside its depth. A head gives those that its own loss needs, and no others."""
 
     ordinal: Ordinal | None = None
     image_bins: Float[Tensor, "batch bins"] | None = None
     """Metres: bin centers of the whole image (AdaBins)."""
     window_bins: WindowBins | None = None
 
-
-class Answer(NamedTuple):
-    """What is asked of a head: a distribution, once computed, is as large as n_bins depth maps, twice."""
-
-    depth: Float[Tensor, "batch 1 rows columns"]
-    std: Float[Tensor, "batch 1 rows columns"] | None
-    bin_centers: Float[Tensor, "batch bins rows columns"] | None
-    probability: Float[Tensor, "batch bins rows columns"] | None
-    supervision: Supervision
+    @classmethod
+    def joined(cls, parts: list["Supervision"], order: Int[Tensor, " batch"]) -> "Supervision":
+        """Join what heads of one kind say of groups of images; see ``join``."""
+        ordinal = [part.ordinal for part in parts if part.ordinal is not None]
+        image_bins = [part.image_bins for part in parts if part.image_bins is not None]
+        windows = [part.window_bins for part in parts if part.window_bins is not None]
+        return cls(
+            Ordinal(join((x.logits for x in ordinal), order), join((x.edges for x in ordinal), order))
+            if ordinal
+            else None,
+            join(image_bins, order) if image_bins else None,
+            WindowBins(
+                join((x.boxes for x in windows), order),
+                tuple(join(level, order) for level in zip(*(x.centers for x in windows), strict=True)),
+            )
+            if windows
+            else None,
+        )
 
 
 class HeadOutput(NamedTuple):
-    """What a metric head makes of decoder features, at the head's own resolution."""
+    """The output of a metric head, at the head's own resolution."""
 
     prediction: Float[Tensor, "batch 1 rows columns"] | BinDistribution
     """Depth in metres, or a distribution that it is the mean of."""
@@ -57,7 +67,7 @@ class HeadOutput(NamedTuple):
 
     @property
     def distribution(self) -> BinDistribution | None:
-        """None where the head has none."""
+        """The distribution over bins; None where the head has none."""
         return self.prediction if isinstance(self.prediction, BinDistribution) else None
 
     @property
@@ -65,13 +75,30 @@ class HeadOutput(NamedTuple):
         """Metres."""
         return self.prediction.mean() if isinstance(self.prediction, BinDistribution) else self.prediction
 
-    def answer(self, *, std: bool, bins: bool) -> Answer:
-        """Depth, and what else is asked for, where the head has it."""
-        if not isinstance(self.prediction, BinDistribution):
-            return Answer(self.prediction, None, None, None, self.supervision)
-        depth, spread = self.prediction.mean_and_std() if std else (self.prediction.mean(), None)
-        centers = self.prediction.bin_centers if bins else None
-        return Answer(depth, spread, centers, self.prediction.probability if bins else None, self.supervision)
+    def depth_and_std(
+        self,
+    ) -> tuple[Float[Tensor, "batch 1 rows columns"], Float[Tensor, "batch 1 rows columns"] | None]:
+        """Return the depth and its standard deviation, metres; None for the latter where there is no distribution."""
+        if isinstance(self.prediction, BinDistribution):
+            return self.prediction.mean_and_std()
+        return self.prediction, None
+
+
+class HeadFeatures(Protocol):
+    """The output of a head's shared part, which the heads of all domains look at."""
+
+    @property
+    def bottleneck(self) -> Float[Tensor, "batch channels _ _"]:
+        """The map at stride 32, which the router looks at too."""
+        ...
+
+    @property
+    def relative(self) -> Float[Tensor, "batch 1 height width"]:
+        """The decoder's relative depth."""
+        ...
+
+    def rows(self, rows: Int[Tensor, " rows"]) -> Any:
+        """Take some images of the batch."""
 
 
 class PassThrough(nn.Module):
@@ -81,14 +108,19 @@ class PassThrough(nn.Module):
         super().__init__()
 
     def forward(self, features: DecoderFeatures) -> DecoderFeatures:
-        """The same."""
+        """Return the features as they are."""
         return features
 
 
-def mixed(outputs: list[HeadOutput], weight: Float[Tensor, "batch heads"]) -> HeadOutput:
-    """What several heads say of the same images, mixed: the weighted mean of their depths.
+def join(parts: Iterable[Tensor], order: Int[Tensor, " batch"]) -> Tensor:
+    """Join tensors of groups of images, and put the images in the given order."""
+    return torch.cat(list(parts))[order]
 
-    Where the heads have distributions, it is one over the bins of all of them.
+
+def mixed(outputs: list[HeadOutput], weight: Float[Tensor, "batch heads"]) -> HeadOutput:
+    """Mix what several heads say of the same images: the weighted mean of their depths.
+
+    Where the heads have distributions, the mixture has one over the bins of all of them.
     """
     weights = weight.unbind(dim=1)
     parts = [

@@ -13,7 +13,7 @@ from zoedepth.model.heads.splitter import bin_centers
 _EPS = 1e-3
 """Added to the widths before they are normed, so that no bin is empty."""
 _EXACT_EPS = 1e-6
-"""The original's (``custom.py``)."""
+"""The original's value for the same (``custom.py``)."""
 
 
 class PixelBinsHead(nn.Module):
@@ -25,17 +25,17 @@ class PixelBinsHead(nn.Module):
         self.bins = PixelBins(config.width, config.n_bins, domain, exact=config.exact)
 
     def forward(self, features: DecoderFeatures) -> HeadOutput:
-        """Depth in metres at stride 2."""
+        """Predict depth in metres at stride 2."""
         return self.bins(F.relu(self.project(features.levels[-1])))
 
 
 class PixelBins(nn.Module):
-    """A map to depth, by bins of every pixel between the nearest and the farthest depth of the domain.
+    """Predicts depth from a map, by bins of every pixel between the nearest and the farthest depth of the domain.
 
     Args:
-        channels: of the map.
-        n_bins: at every pixel.
-        domain: of the depths.
+        channels: channels of the map.
+        n_bins: number of bins at every pixel.
+        domain: the domain whose depths they are.
         exact: see ``PixelBinsConfig``.
     """
 
@@ -47,7 +47,7 @@ class PixelBins(nn.Module):
         self.probability = nn.Conv2d(channels, n_bins, kernel_size=1)
 
     def forward(self, x: Float[Tensor, "batch channels height width"]) -> HeadOutput:
-        """Depth in metres at the size of the map."""
+        """Predict depth in metres at the size of the map."""
         scores = self.widths(x).float()
         widths = F.relu(scores) + _EXACT_EPS if self.exact else F.softplus(scores) + _EPS
         widths = widths / widths.sum(dim=1, keepdim=True)

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from zoedepth.model.decoder import upsample, upsample_rows
+from zoedepth.model.upsample import upsample, upsample_rows
 
 _EPS = 1e-7
 """Keeps Stirling's logarithms finite at k = 0 and k = n (released ``dist_layers.py``)."""
@@ -19,12 +19,12 @@ _PAIR_EPS = 1e-4
 def expected_depth(
     probability: Float[Tensor, "*pixels bins"], bin_centers: Float[Tensor, "*pixels bins"]
 ) -> Float[Tensor, "*pixels"]:
-    """Eq. 1: d = sum_k p_k c_k, in the unit of the centers."""
+    """Compute Eq. 1: d = sum_k p_k c_k, in the unit of the centers."""
     return (probability * bin_centers).sum(dim=-1)
 
 
 def log_binomial_coefficients(n_bins: int) -> Float[Tensor, " bins"]:
-    """ln C(n, k) for k = 0..n, n = n_bins - 1, by the leading terms of Stirling's approximation, as released.
+    """Compute ln C(n, k) for k = 0..n, n = n_bins - 1, by the leading terms of Stirling's approximation, as released.
 
     The paper writes N = n_bins and k = 1..N; the released code uses n = N - 1 and k = 0..N - 1, which has N values.
     """
@@ -39,12 +39,12 @@ def log_binomial(
     t: Float[Tensor, "batch 1 height width"],
     coefficients: Float[Tensor, " bins"],
 ) -> Float[Tensor, "batch bins height width"]:
-    """Eq. 4 and the softmax after it: p_k = softmax_k(ln[C(n, k) q^k (1 - q)^(n - k)] / t).
+    """Compute Eq. 4 and the softmax after it: p_k = softmax_k(ln[C(n, k) q^k (1 - q)^(n - k)] / t).
 
     Args:
         q: place of the mode, 0 (first bin) to 1 (last bin).
         t: temperature, > 0; small is sharp.
-        coefficients: ln C(n, k) of ``log_binomial_coefficients``.
+        coefficients: ln C(n, k), from ``log_binomial_coefficients``.
 
     Returns:
         Probabilities in float32, summing to 1 over the bins, unimodal up to Stirling's error.
@@ -58,7 +58,7 @@ def log_binomial_terms(
     t: Float[Tensor, "batch 1 height width"],
     coefficients: Float[Tensor, " bins"],
 ) -> tuple[Float[Tensor, "batch 2 height width"], Float[Tensor, "1 bins 2"]]:
-    """The logits of ``log_binomial`` as a product: two maps, and two columns over the bins, for all images.
+    """Factor the logits of ``log_binomial``: into two maps, and two columns over the bins that all images share.
 
     ln(q^k (1 - q)^(n - k)) = k (ln q - ln(1 - q)) + n ln(1 - q), and the softmax does not see the last term.
     """
@@ -69,9 +69,9 @@ def log_binomial_terms(
 
 
 def convolved(conv: nn.Conv2d, maps: Sequence[Tensor]) -> Float[Tensor, "batch output_channels height width"]:
-    """A 1x1 convolution of maps upsampled to the size of the first and stacked.
+    """Apply a 1x1 convolution to maps that are upsampled to the size of the first one and stacked.
 
-    It commutes with the interpolation: each map is convolved at its own size, and no stack is made.
+    Convolution and interpolation commute: each map is convolved at its own size, and no stack is made.
     """
     size = maps[0].shape[-2:]
     weights = conv.weight.split([x.shape[1] for x in maps], dim=1)
@@ -83,36 +83,37 @@ def convolved(conv: nn.Conv2d, maps: Sequence[Tensor]) -> Float[Tensor, "batch o
 
 
 class BinDistribution(NamedTuple):
-    """A distribution over bins at every pixel, kept as what it is computed from.
+    """A distribution over bins at every pixel, kept as the small maps that it is computed from.
 
-    Probabilities and centers have as many channels as there are bins, which at the size of the photo is far more than
-    all else: what is asked of them is computed band by band of rows, each small enough for the processor's cache.
+    Probabilities and centers have a channel for each bin. At the size of the photo that is far more memory than all
+    other maps take, so the mean is computed in bands of rows, each small enough for the processor's cache.
     """
 
     maps: Float[Tensor, "batch terms height width"]
     weight: Float[Tensor, "_ bins terms"] | None
-    """The logits are weight @ maps + bias, in float32; without a weight they are the maps. One for all, or an image."""
+    """The logits are weight @ maps + bias, in float32; without a weight they are the maps. The first axis is 1, for a
+    weight that all images share, or the batch."""
     bias: Float[Tensor, "_ bins"] | None
     centers: Float[Tensor, "batch bins _ _"]
-    """Metres, at the size of the maps or any other: they are upsampled to it."""
+    """Metres, at the size of the maps or any other, from which they are upsampled."""
 
     @property
     def probability(self) -> Float[Tensor, "batch bins height width"]:
-        """Sums to 1 over the bins."""
+        """Probabilities, which sum to 1 over the bins."""
         return self._probability(slice(None)).permute(0, 3, 1, 2)
 
     @property
     def bin_centers(self) -> Float[Tensor, "batch bins height width"]:
-        """Metres."""
+        """Bin centers, metres."""
         return self._centers(slice(None)).permute(0, 3, 1, 2).expand(-1, -1, *self.maps.shape[-2:])
 
     def mean(self) -> Float[Tensor, "batch 1 height width"]:
-        """Eq. 1: the expected depth, metres."""
+        """Compute the expected depth, metres (Eq. 1)."""
         bands = [expected_depth(self._probability(rows), self._centers(rows)) for rows in self._bands()]
         return torch.cat(bands, dim=1)[:, None]
 
     def mean_and_std(self) -> tuple[Float[Tensor, "batch 1 height width"], Float[Tensor, "batch 1 height width"]]:
-        """The expected depth and the standard deviation around it, metres."""
+        """Compute the expected depth and the standard deviation around it, metres."""
         means, variances = [], []
         for rows in self._bands():
             probability, centers = self._probability(rows), self._centers(rows)
@@ -122,18 +123,19 @@ class BinDistribution(NamedTuple):
         return torch.cat(means, dim=1)[:, None], torch.cat(variances, dim=1)[:, None].sqrt()
 
     def mixed(self, weight: Float[Tensor, " batch"]) -> "BinDistribution":
-        """One part of a mixture: its probabilities sum to the weight, once it is joined with the others."""
+        """Make this one part of a mixture: after joining it with the others, its probabilities sum to the weight."""
         logits = self._logits(slice(None)).log_softmax(dim=3) + weight.log()[:, None, None, None]
         return BinDistribution(logits.permute(0, 3, 1, 2), None, None, self.bin_centers)
 
     def _bands(self) -> list[slice]:
         batch, _, height, width = self.maps.shape
         if self.maps.device.type != "cpu" or torch.is_grad_enabled() or torch.compiler.is_compiling():
-            return [slice(None)]  # nothing to gain: a kernel a band, all is kept for the gradient, or fused anyway
+            # Bands gain nothing: a GPU would start a kernel for each, gradients keep everything, compilers fuse anyway.
+            return [slice(None)]
         rows = max(1, _BAND // (batch * width * self.centers.shape[1]))
         return [slice(start, min(start + rows, height)) for start in range(0, height, rows)]
 
-    # Below, each pixel's bins lie side by side in memory: the only order that a softmax is fast in.
+    # Below, each pixel's bins lie side by side in memory: a softmax is fast in this order only.
 
     def _probability(self, rows: slice) -> Float[Tensor, "batch rows width bins"]:
         return self._logits(rows).softmax(dim=3)
@@ -142,14 +144,14 @@ class BinDistribution(NamedTuple):
         maps = self.maps[:, :, rows].permute(0, 2, 3, 1)
         if self.weight is None:
             return maps
-        with torch.autocast(maps.device.type, enabled=False):  # the log-binomial's reach 63 ln(1e-4) / 0.02
+        with torch.autocast(maps.device.type, enabled=False):  # logits of the log-binomial reach 63 ln(1e-4) / 0.02
             if self.weight.shape[0] == 1:
                 return F.linear(maps, self.weight[0], None if self.bias is None else self.bias[0])
             logits = maps @ self.weight.transpose(1, 2)[:, None]
             return logits if self.bias is None else logits + self.bias[:, None, None]
 
     def _centers(self, rows: slice) -> Float[Tensor, "batch _ _ bins"]:
-        one = self.centers.shape[-2:] == (1, 1)  # the same everywhere
+        one = self.centers.shape[-2:] == (1, 1)  # every pixel has the same centers
         centers = self.centers if one else upsample_rows(self.centers, self.maps.shape[-2:], rows)
         return centers.permute(0, 2, 3, 1)
 
@@ -174,13 +176,15 @@ class LogBinomial(nn.Module):
         self.init_non_persistent_buffers()
 
     def init_non_persistent_buffers(self) -> None:
-        """Fill what no checkpoint holds, after the module was built without memory (timm's name for it)."""
+        """Fill the buffers that no checkpoint holds, after the module was built without memory (timm's name for it)."""
         self.coefficients.copy_(log_binomial_coefficients(len(self.coefficients)))
 
     def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
-        """The distribution over bins at these centers, given maps that together have the channels.
+        """Predict the distribution over bins at these centers.
 
-        See ``convolved``.
+        Args:
+            maps: the input, as maps whose channels add up to ``channels``; see ``convolved``.
+            centers: bin centers, metres.
         """
         hidden: Any = self.mlp[0]
         pairs = self.mlp[1:](convolved(hidden, maps)).float() + _PAIR_EPS
@@ -192,7 +196,7 @@ class LogBinomial(nn.Module):
 
 
 class Softmax(nn.Module):
-    """Free probabilities from the same input, for the paper's ablation (its Table 5)."""
+    """Predicts free probabilities from the same input, for the paper's ablation (its Table 5)."""
 
     def __init__(self, channels: int, n_bins: int, *, bottleneck_factor: int) -> None:
         super().__init__()
@@ -200,11 +204,42 @@ class Softmax(nn.Module):
         self.mlp = nn.Sequential(nn.Conv2d(channels, hidden, 1), nn.GELU(), nn.Conv2d(hidden, n_bins, 1))
 
     def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
-        """The distribution over bins at these centers, given maps that together have the channels.
+        """Predict the distribution over bins at these centers.
 
-        See ``convolved``.
+        Args:
+            maps: the input, as maps whose channels add up to ``channels``; see ``convolved``.
+            centers: bin centers, metres.
         """
         hidden: Any = self.mlp[0]
         last: Any = self.mlp[2]
         terms = self.mlp[1:2](convolved(hidden, maps)).float()
         return BinDistribution(terms, last.weight.flatten(1).float()[None], last.bias.float()[None], centers)
+
+
+def build_probability(
+    kind: str,
+    channels: int,
+    n_bins: int,
+    *,
+    bottleneck_factor: int,
+    min_temperature: float,
+    max_temperature: float,
+) -> LogBinomial | Softmax:
+    """Build the predictor of a head's probabilities.
+
+    Args:
+        kind: "log-binomial" or "softmax".
+        channels: channels of the input.
+        n_bins: number of bins.
+        bottleneck_factor: the hidden width is the number of channels divided by this.
+        min_temperature, max_temperature: bounds of the log-binomial's temperature.
+    """
+    if kind == "softmax":
+        return Softmax(channels, n_bins, bottleneck_factor=bottleneck_factor)
+    return LogBinomial(
+        channels,
+        n_bins,
+        bottleneck_factor=bottleneck_factor,
+        min_temperature=min_temperature,
+        max_temperature=max_temperature,
+    )
