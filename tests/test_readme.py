@@ -26,32 +26,39 @@ def commands(program: str) -> list[str]:
     return [line for line in lines if line.startswith(program + " ")]
 
 
-@pytest.fixture
-def workplace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with everything that the README's commands name."""
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write everything that the README's commands name, and return the folder."""
+    folder = tmp_path_factory.mktemp("readme")
     rng = np.random.default_rng(0)
 
-    def photo(path: Path) -> None:
+    def photo(path: Path, height: int, width: int) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(rng.integers(0, 256, (480, 640, 3), dtype=np.uint8)).save(path)
+        Image.fromarray(rng.integers(0, 256, (height, width, 3), dtype=np.uint8)).save(path)
 
-    photo(tmp_path / "photo.jpg")
-    photo(tmp_path / "photos" / "a.jpg")
-    for folder, domain in (("nyu", "indoor"), ("kitti", "outdoor"), ("my_photos", "indoor")):
-        photo(tmp_path / folder / "image" / "0001.jpg")
-        depth = rng.integers(1000, 9000, (480, 640)).astype(np.uint16)
-        (tmp_path / folder / "depth").mkdir()
-        Image.fromarray(depth).save(tmp_path / folder / "depth" / "0001.png")
+    photo(folder / "photo.jpg", 480, 640)
+    photo(folder / "photos" / "a.jpg", 120, 160)
+    for name, domain in (("nyu", "indoor"), ("kitti", "outdoor"), ("my_photos", "indoor")):
+        photo(folder / name / "image" / "0001.jpg", 120, 160)
+        depth = rng.integers(1000, 9000, (120, 160)).astype(np.uint16)
+        (folder / name / "depth").mkdir()
+        Image.fromarray(depth).save(folder / name / "depth" / "0001.png")
         for split in ("train", "test"):
-            (tmp_path / folder / f"{split}.csv").write_text(
+            (folder / name / f"{split}.csv").write_text(
                 "image,depth,depth_scale,domain\n" + 2 * f"image/0001.jpg,depth/0001.png,1000,{domain}\n"
             )
     # The released weights cannot be had here: a small random model in their file's layout.
     small = twin(twin_config(heads=(NYU, KITTI)))
     config, weights, _ = huggingface.read(small.state_dict(), small.config.to_dict(), layout=5)
-    write_checkpoint(Checkpoint(config, weights, "", str), tmp_path / "ZoeD_M12_NK.pt", to="original")
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+    write_checkpoint(Checkpoint(config, weights, "", str), folder / "ZoeD_M12_NK.pt", to="original")
+    return folder
+
+
+@pytest.fixture
+def workplace(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make the folder of ``files`` the current one."""
+    monkeypatch.chdir(files)
+    return files
 
 
 def test_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,7 +75,7 @@ def test_commands(workplace: Path) -> None:
     lines = commands("zoedepth")
     assert {line.split()[1] for line in lines} == {"predict", "evaluate", "train", "export", "models"}
     for line in lines:
-        # The commands as they are, but for the length of the training.
+        # The commands as they are, except for the length of the training.
         if line.split()[1:3] == ["train", "finetune"]:
             line += " --steps 1 --batch-size 1"
         elif line.split()[1] == "train":
