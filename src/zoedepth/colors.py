@@ -1,4 +1,4 @@
-"""Depth as a picture: colour tables, a bar that says the metres, and the photo beside its depth.
+"""Depth as a picture: colour tables, a bar with the metres, and the photo beside its depth.
 
 The tables are matplotlib's, 256 colours each, baked into ``assets/colormaps.npz`` so that matplotlib is not needed:
 magma (S. van der Walt and N. Smith, CC0), Spectral (C. Brewer's ColorBrewer, Apache 2.0), turbo (A. Mikhailov, Google,
@@ -17,7 +17,7 @@ from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
 
 COLORMAPS = ("magma", "turbo", "gray", "Spectral")
-"""Names of the colour tables; each also exists reversed, with ``_r`` at its end."""
+"""Names of the colour tables. Each also exists reversed, with ``_r`` at the end of its name."""
 
 INVALID_COLOR = (128, 128, 128)
 _PAPER, _INK = (255, 255, 255), (20, 20, 20)
@@ -31,13 +31,13 @@ def colorize(
     percentiles: tuple[float, float] = (2.0, 85.0),
     colormap: str = "magma_r",
 ) -> ImageArray:
-    """Colour a depth map: uint8 (height, width, 3), ``vmin`` and nearer is the table's first colour, ``vmax`` its last.
+    """Colour a depth map: from the table's first colour at ``vmin`` and nearer to its last at ``vmax`` and farther.
 
     Args:
-        depth: (height, width), metres. Non-finite or non-positive is invalid, and grey in the picture.
+        depth: (height, width), metres. Non-finite or non-positive depth is invalid, and grey in the picture.
         vmin: depth of the first colour; None takes the lower percentile. Fix both to compare pictures.
         vmax: depth of the last colour; None takes the upper percentile.
-        percentiles: of the valid depths; (2, 85) is what ZoeDepth was published with.
+        percentiles: the percentiles of the valid depths; ZoeDepth was published with (2, 85).
         colormap: one of ``COLORMAPS``, reversed with ``_r`` at its end.
 
     Raises:
@@ -58,7 +58,7 @@ def depth_range(
     vmax: float | None = None,
     percentiles: tuple[float, float] = (2.0, 85.0),
 ) -> tuple[float, float]:
-    """The depths (metres) of the first and last colour: those given, else percentiles of the valid depth.
+    """Return the depths (metres) of the first and the last colour: as given, or else percentiles of the valid depth.
 
     Raises:
         InputError: both are given and vmin is not below vmax.
@@ -75,10 +75,10 @@ def depth_range(
 
 
 def color_bar(height: int, *, vmin: float, vmax: float, colormap: str = "magma_r", unit: str = "m") -> ImageArray:
-    """A vertical bar from ``vmin`` (bottom) to ``vmax`` (top) with ticks at round numbers, e.g. "2.5 m".
+    """Draw a vertical bar from ``vmin`` (bottom) to ``vmax`` (top) with ticks at round numbers, e.g. "2.5 m".
 
     Args:
-        height: of the bar, pixels; below 60 the labels have no room and 60 is taken.
+        height: height of the bar in pixels. Less than 60 leaves no room for labels, so 60 is taken then.
         vmin: value of the first colour.
         vmax: value of the last colour, above vmin.
         colormap: see ``colorize``.
@@ -108,7 +108,7 @@ def color_bar(height: int, *, vmin: float, vmax: float, colormap: str = "magma_r
 def panel(
     image: ImageArray, *, size: tuple[int, int] | None = None, bar: ImageArray | None = None, caption: str = ""
 ) -> ImageArray:
-    """One picture of a sheet: resized to ``size`` (height, width), with a bar to its right and a caption above."""
+    """Draw one picture of a sheet: resized to ``size`` (height, width), with a bar to its right and a caption above."""
     height, width = size or image.shape[:2]
     picture = Image.fromarray(image)
     if size and size != image.shape[:2]:
@@ -127,7 +127,7 @@ def panel(
 
 
 def sheet(rows: Sequence[Sequence[ImageArray]], *, gap: int = 12) -> ImageArray:
-    """Panels in rows on white paper; the columns of all rows are as wide as their widest panel."""
+    """Draw panels in rows on white paper. Each column is as wide as its widest panel."""
     heights = [max(item.shape[0] for item in row) for row in rows]
     n_columns = max(len(row) for row in rows)
     widths = [max(row[i].shape[1] for row in rows if i < len(row)) for i in range(n_columns)]
@@ -153,17 +153,17 @@ def preview(
     unit: str = "m",
     max_side: int = 960,
 ) -> ImageArray:
-    """The photo beside its depth with a bar in metres, below it when the photo is much wider than high.
+    """Draw the photo beside its depth with a bar in metres, or above it when the photo is much wider than high.
 
     Args:
         image: uint8 (height, width, 3), RGB.
         depth: (height, width), metres.
         vmin: depth of the first colour, see ``colorize``.
         vmax: depth of the last colour.
-        percentiles: wider than ``colorize``'s, so that the bar covers nearly everything in the picture.
+        percentiles: see ``colorize``; wider here, so that the bar covers nearly everything in the picture.
         colormap: see ``colorize``.
-        unit: of the numbers at the bar.
-        max_side: the longer side of each of the two pictures; small photos are enlarged to at least 320.
+        unit: unit of the numbers at the bar.
+        max_side: the longer side of each of the two pictures. Small photos are enlarged to at least 320.
     """
     height, width = image.shape[:2]
     longer = max(height, width)
@@ -179,7 +179,7 @@ def preview(
 
 
 def preview_relative(image: ImageArray, relative: np.ndarray, *, colormap: str = "magma") -> ImageArray:
-    """The photo beside its relative depth, in percent: 0 is the farthest of this photo, 100 the nearest."""
+    """Draw the photo beside its relative depth in percent: 0 is the farthest of this photo, 100 the nearest."""
     low, high = float(relative.min()), float(relative.max())
     percent = 100 * (relative - low) / max(high - low, 1e-12)
     # 0 would be drawn as unknown.
@@ -191,12 +191,12 @@ def _valid(depth: np.ndarray) -> np.ndarray:
 
 
 def _font_size(height: int) -> int:
-    """Legible beside a picture of this height."""
+    """Return a size that is legible beside a picture of this height."""
     return min(max(12, height // 24), 40)
 
 
 def _ticks(vmin: float, vmax: float, *, count: int) -> np.ndarray:
-    """About ``count`` round numbers in [vmin, vmax], multiples of 1, 2 or 5 times a power of ten; at least one."""
+    """Return about ``count`` round numbers in [vmin, vmax]: multiples of 1, 2 or 5 times a power of ten; at least one."""
     span = vmax - vmin
     power = 10.0 ** np.floor(np.log10(span / count))
     for step in (power, 2 * power, 5 * power, 10 * power):

@@ -1,7 +1,7 @@
-"""Files and arrays in, files out: photographs to uint8 arrays, depth maps to files that say their unit.
+"""Photographs in, pictures out.
 
-Everything that enters the package becomes one thing, an ``image``: uint8, (height, width, 3), RGB, upright. Everything
-that leaves it is written whole or not at all.
+Every photograph that enters the package, as a file, a PIL image, an array or a tensor, becomes an ``image``: uint8,
+(height, width, 3), RGB, upright. Every file that leaves the package is written whole or not at all (``atomic_path``).
 """
 
 import os
@@ -33,7 +33,7 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 """Suffixes that ``write_image`` writes."""
 
 MAX_PIXELS = 178_956_970
-"""The largest picture that is decoded: where Pillow itself refuses, about 180 megapixels or 0.5 GB of RGB."""
+"""The largest picture that is decoded, where Pillow itself refuses: about 180 megapixels, or 0.5 GB of RGB."""
 
 PNG_SCALE_MILLIMETRE = 1000.0
 PNG_SCALE_KITTI = 256.0
@@ -41,13 +41,13 @@ PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
-# A picture with more pixels must have a byte for every 32 of them: photographs take 2 to 10 bits a pixel, and a quarter
-# of a bit at the least, while a bomb of half a megabyte can unpack to as many pixels as are allowed.
+# A picture with more pixels than _FREE_PIXELS must have a byte for every 32 pixels. Photographs take 2 to 10 bits a
+# pixel, a quarter of a bit at the very least, while half a megabyte of zeros can unpack to MAX_PIXELS.
 _FREE_PIXELS, _PIXELS_PER_BYTE = 4096 * 4096, 32
 _MAX_SCANS = 100  # progressive JPEGs have about ten
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
-# EXIF orientation -> what stands the picture upright (EXIF 2.3, tag 0x0112).
+# EXIF orientation -> the transposition that turns the picture upright (EXIF 2.3, tag 0x0112).
 _ORIENTATION_TAG = 0x0112
 _UPRIGHT = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
@@ -65,26 +65,27 @@ def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS)
 
     Grey is repeated to three channels; palette, CMYK and YCbCr are converted; colour profiles are ignored. Alpha is
     dropped, not composited: the colours under it are kept, and no edge is invented. 16-bit grey spans 0..65535; float
-    TIFF must be in [0, 1]. Of several frames the first is read.
+    TIFF must be in [0, 1]. The first of several frames is read.
 
     Args:
         source: a path, or a binary file open for reading.
-        max_pixels: height * width above which a file is refused before it is decoded.
+        max_pixels: the most pixels (height * width) a file may claim; one with more is refused before it is decoded.
 
     Raises:
-        InputError: the file is missing, not an image, truncated, too large, or in a mode that has no meaning here.
+        InputError: the file is missing, not an image, cut short, too large, far too small for the pixels it claims, or
+            in a mode that has no meaning here.
     """
     with _open(source, max_pixels=max_pixels) as picture:
         return _from_pil(picture, _name(source))
 
 
 def to_image(source: Any) -> ImageArray:
-    """Turn whatever holds a picture into an image: uint8 (height, width, 3), RGB, [0, 255].
+    """Turn anything that holds a picture into an image: uint8 (height, width, 3), RGB, [0, 255].
 
     Args:
         source: a path or open file (see ``read_image``); a ``PIL.Image.Image``; a numpy array (H, W) or (H, W, 1|3|4),
             RGB, uint8, uint16 (0..65535) or float in [0, 1]; a torch tensor (H, W) or (1|3|4, H, W) of the same types.
-            Floats are rounded to 8 bits, so that one photograph gives one depth whichever way it comes in.
+            Floats are rounded to 8 bits, so that a photograph gives the same depth whichever way it comes in.
 
     Raises:
         InputError: another type, shape or range; the message says what is expected.
@@ -95,7 +96,7 @@ def to_image(source: Any) -> ImageArray:
         return _from_pil(source, "the PIL image")
     if isinstance(source, np.ndarray):
         return _from_array(source, "the array")
-    torch = sys.modules.get("torch")  # whoever holds a tensor has imported torch; nobody else should pay for it
+    torch = sys.modules.get("torch")  # imported already if this is a tensor; others should not wait for it
     if torch is not None and isinstance(source, torch.Tensor):
         return _from_array(_channels_last(source), "the tensor")
     raise InputError(
@@ -118,10 +119,10 @@ def write_image(path: str | Path, image: ImageArray) -> None:
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path to write to; it becomes ``path`` when the block ends well, and vanishes when it does not.
+    """Give a temporary path to write to. It becomes ``path`` when the block ends well, and is removed when it does not.
 
-    The temporary file is in the same folder (made if need be), because only there is the renaming one step, and has
-    the same suffix, because writers choose the format by it.
+    The temporary file is in the same folder (made if need be), because only there is renaming one step. It has the same
+    suffix, because writers choose the format by it.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -163,7 +164,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
 
 
 def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: int) -> None:
-    """Refuse a picture, before it is decoded, that would cost far more memory or time than its file is large."""
+    """Refuse, before it is decoded, a picture that would take memory or time out of proportion to its file."""
     n_pixels = picture.width * picture.height
     claim = f"{name} has {picture.width} x {picture.height} pixels"
     if n_pixels > max_pixels:
@@ -220,7 +221,7 @@ def _upright(picture: Image.Image) -> Image.Image:
 
 
 def _from_array(array: np.ndarray, name: str) -> ImageArray:
-    """(H, W) or (H, W, 1|3|4), uint8, uint16 or float in [0, 1] -> image."""
+    """Turn (H, W) or (H, W, 1|3|4) of uint8, uint16 or float in [0, 1] into an image."""
     if array.ndim == 2:
         array = array[..., None]
     if array.ndim != 3 or array.shape[-1] not in (1, 3, 4):

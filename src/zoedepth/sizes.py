@@ -1,13 +1,13 @@
-"""The size at which the network sees a photo: integers only."""
+"""The size at which the network sees a photo, in integers."""
 
 
 def network_size(
     size: tuple[int, int], target: tuple[int, int], *, multiple: int = 32, keep_aspect_ratio: bool = True
 ) -> tuple[int, int]:
-    """(height, width) a photo is resized to before the network.
+    """Return the (height, width) a photo is resized to before the network.
 
-    The photo is scaled by the one factor, of the two that make its height or its width equal the target's, that
-    changes it least ("minimal"); both sides are then rounded to the nearest multiple, halves to even, and are at least
+    One factor makes the photo's height equal the target's, another its width. The photo is scaled by the factor that
+    changes it least ("minimal"). Both sides are then rounded to the nearest multiple, halves to even, and are at least
     one multiple. (MiDaS ``transforms.py::Resize.get_size`` as ZoeDepth calls it.)
 
     Args:

@@ -1,1 +1,1 @@
-"""Cameras and what they see. Nothing here knows of a model."""
+"""Cameras and what they see. Nothing here knows a model."""

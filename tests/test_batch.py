@@ -1,0 +1,314 @@
+"""Many photos: nothing is lost, nothing is overwritten, and every photo has its outcome. No network, no console."""
+
+import json
+import os
+from pathlib import Path
+from threading import Barrier
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from zoedepth.batch import Outcome, Photo, Request, cpu_count, find_photos, predict_all, predict_photo, share_cores
+from zoedepth.errors import InputError
+from zoedepth.images import read_image, to_image
+from zoedepth.outputs import OUTPUTS, Options
+from zoedepth.predict import DepthMap, Predictor
+from zoedepth.stored import read_depth
+
+
+class Brightness(Predictor):
+    """Predicts 1 m + the mean of the three colours / 255."""
+
+    def __init__(self) -> None:
+        self.model = SimpleNamespace(config=SimpleNamespace(size=(64, 96)))
+
+    def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
+        photo = to_image(image)
+        depth = (1 + photo.mean(axis=2) / 255).astype(np.float32)
+        return DepthMap(depth, depth / 4, domain or "indoor", {"indoor": 0.123456, "outdoor": 0.9}, photo, (32, 64))
+
+    def relative(self, image: object) -> np.ndarray:
+        return to_image(image).mean(axis=2).astype(np.float32)
+
+
+REQUEST = Request("brightness")
+
+
+def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    noise = np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path)
+    return path
+
+
+def names(folder: Path) -> set[str]:
+    """Files below a folder, as paths relative to it."""
+    return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+
+
+def run(
+    folder: Path, out: Path, request: Request = REQUEST, *, predictor: Predictor | None = None, workers: int = 1
+) -> list[Outcome]:
+    photos = find_photos([str(folder)], out).photos
+    return list(predict_all(photos, predictor or Brightness(), request, workers=workers))
+
+
+class TestFindPhotos:
+    def targets(self, *sources: object, out: Path) -> dict[str, str]:
+        """Photo -> target, relative to the folder of the test."""
+        found = find_photos([str(source) for source in sources], out)
+        assert not found.failures
+        return {
+            photo.path.relative_to(out.parent).as_posix(): photo.target.relative_to(out).as_posix()
+            for photo in found.photos
+        }
+
+    def test_photos_that_would_share_outputs_keep_their_suffix(self, tmp_path: Path) -> None:
+        for name in ("a.jpg", "a.png", "A.bmp", "b.jpg", "a.jpg.png", "sub/a.jpg"):
+            (tmp_path / "in" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "in" / name).touch()
+        targets = self.targets(tmp_path / "in", out=tmp_path / "out")
+        assert {source.removeprefix("in/"): target for source, target in targets.items()} == {
+            "A.bmp": "A.bmp",
+            "a.jpg": "a.jpg",
+            "a.jpg.png": "a.jpg.png",
+            "a.png": "a.png",
+            "b.jpg": "b",
+            "sub/a.jpg": "sub/a",
+        }
+
+    def test_several_folders_keep_their_names(self, tmp_path: Path) -> None:
+        for name in ("left/a.jpg", "right/a.jpg"):
+            (tmp_path / name).parent.mkdir()
+            (tmp_path / name).touch()
+        targets = self.targets(tmp_path / "left", tmp_path / "right", out=tmp_path / "out")
+        assert targets == {"left/a.jpg": "left/a", "right/a.jpg": "right/a"}
+        targets = self.targets(tmp_path / "left/a.jpg", tmp_path / "right/a.jpg", out=tmp_path / "out")
+        assert targets == {"left/a.jpg": "a.jpg", "right/a.jpg": "a.jpg-2"}
+
+    def test_glob_keeps_the_tree_below_its_fixed_part(self, tmp_path: Path) -> None:
+        for name in ("in/a/1.jpg", "in/b/1.JPG", "in/b/notes.txt"):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).touch()
+        targets = self.targets(tmp_path / "in" / "**" / "*", out=tmp_path / "out")
+        assert targets == {"in/a/1.jpg": "a/1", "in/b/1.JPG": "b/1"}
+
+    def test_relative_sources(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        (tmp_path / "here").mkdir()
+        for name in ("a.jpg", "here/b.jpg"):
+            (tmp_path / name).touch()
+        monkeypatch.chdir(tmp_path / "here")
+        for sources in ([".."], ["../*.jpg", "*.jpg"], ["./*.jpg", "../a.jpg"]):
+            found = find_photos(sources, Path("out"))
+            assert {photo.path.name for photo in found.photos} == {"a.jpg", "b.jpg"}
+
+    def test_each_photo_once(self, tmp_path: Path) -> None:
+        (tmp_path / "a.jpg").touch()
+        sources = (tmp_path / "a.jpg", tmp_path, tmp_path / "*.jpg", tmp_path / "a.jpg")
+        assert self.targets(*sources, out=tmp_path / "out") == {"a.jpg": "a"}
+
+    def test_folder_that_cannot_be_read_is_reported(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        write_photo(tmp_path / "closed" / "a.jpg")
+        write_photo(tmp_path / "open" / "b.jpg")
+        scandir = os.scandir
+
+        def refuse(folder: str) -> object:  # not by its mode: root, who runs tests in containers, may read everything
+            if Path(folder).name == "closed":
+                raise PermissionError(13, "Permission denied", folder)
+            return scandir(folder)
+
+        monkeypatch.setattr(os, "scandir", refuse)
+        found = find_photos([str(tmp_path)], tmp_path / "out")
+        assert [photo.path.name for photo in found.photos] == ["b.jpg"]
+        assert "closed" in found.failures[0]
+
+
+class TestPredictPhoto:
+    def test_writes_depth_preview_and_sidecar(self, tmp_path: Path) -> None:
+        photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "b" / "a")
+        outcome = predict_photo(photo, Brightness(), REQUEST)
+        assert names(tmp_path / "out") == {"b/a_depth.png", "b/a_preview.jpg", "b/a.json"}
+        expected = Brightness()(photo.path)
+        np.testing.assert_allclose(read_depth(photo.file("_depth.png")), expected.depth, atol=5.1e-4)
+        sidecar = json.loads(photo.file(".json").read_text())
+        assert sidecar == json.loads(json.dumps(outcome.sidecar))
+        assert sidecar.pop("seconds") >= 0
+        assert sidecar.pop("zoedepth")
+        assert sidecar.pop("depth").keys() == {"min", "median", "max"}
+        assert sidecar == {
+            "source": str(photo.path),
+            "model": "brightness",
+            "config_size": [64, 96],
+            "input_size": [12, 16],
+            "network_size": [32, 64],
+            "domain": "indoor",
+            "domain_probability": {"indoor": 0.1235, "outdoor": 0.9},
+            "unit": "metre",
+            "png_scale": 1000,
+            "median_confidence": 0.8,
+            "files": {"depth": "a_depth.png", "preview": "a_preview.jpg"},
+        }
+
+    def test_relative_depth(self, tmp_path: Path) -> None:
+        photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
+        sidecar = predict_photo(photo, Brightness(), Request("brightness", relative=True)).sidecar
+        assert names(tmp_path / "out") == {"a_relative.png", "a_preview.jpg", "a.json"}
+        relative = Brightness().relative(photo.path)
+        assert sidecar["png_range"] == [relative.min(), relative.max()]
+        assert sidecar["files"] == {"relative": "a_relative.png", "preview": "a_preview.jpg"}
+
+    @pytest.mark.parametrize("relative", [False, True])
+    def test_every_output_can_be_asked_for(self, tmp_path: Path, relative: bool) -> None:
+        kinds = tuple(name for name, kind in OUTPUTS.items() if ("relative" if relative else "depth") in kind.maps)
+        photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
+        outcome = predict_photo(photo, Brightness(), Request("brightness", outputs=kinds, relative=relative))
+        assert outcome.sidecar["files"] == {name: f"a{OUTPUTS[name].ending}" for name in kinds}
+        assert names(tmp_path / "out") == {"a.json", *(f"a{OUTPUTS[name].ending}" for name in kinds)}
+
+    def test_domain_and_options_arrive(self, tmp_path: Path) -> None:
+        photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
+        request = Request("brightness", ("depth",), Options(png_scale=100_000.0), domain="outdoor")
+        outcome = predict_photo(photo, Brightness(), request)
+        assert (outcome.sidecar["domain"], outcome.sidecar["png_scale"]) == ("outdoor", 100_000)
+        assert any("clipped" in note for note in outcome.notes)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        ({"outputs": ("exe",)}, "no output 'exe'.*depth"),
+        ({"outputs": ("relative",)}, "'relative' cannot be written from depth in metres"),
+        ({"outputs": ("npz", "depth"), "relative": True}, "'depth' cannot be written from relative depth"),
+        ({"relative": True, "domain": "indoor"}, "no metres: leave out domain"),
+        ({"relative": True, "options": Options(png_scale=256.0, vmax=3.0)}, "png_scale, vmax"),
+    ],
+)
+def test_a_wrong_request_is_found_before_the_first_photo(request_: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        Request("brightness", **request_)
+
+
+class TestPredictAll:
+    def test_a_hundred_good_and_broken_files_lose_nothing(self, tmp_path: Path) -> None:
+        folder, broken = tmp_path / "in", []
+        suffixes = (".jpg", ".png", ".JPG", ".tif", ".webp")
+        for index in range(100):
+            path = folder / f"day {index % 3}" / f"[{index:02d}] é{suffixes[index % 5]}"
+            write_photo(path, size=(5 + index % 7, 16 - index % 5), seed=index)
+            if index % 4 == 0:
+                broken.append(path)
+                data = path.read_bytes()
+                path.write_bytes([data[: len(data) // 2], b"", b"not an image", data[:20]][index // 4 % 4])
+        (folder / "notes.txt").write_text("not a photo")
+        write_photo(folder / ".hidden.jpg")
+        found = find_photos([str(folder)], tmp_path / "out")
+        assert found.n_ignored == 2
+        outcomes = list(predict_all(found.photos, Brightness(), Request("b", ("depth",)), workers=3))
+        assert [outcome.photo for outcome in outcomes] == found.photos
+        assert {outcome.photo.path for outcome in outcomes if outcome.failure} == set(broken)
+        assert all(str(outcome.photo.path) in outcome.failure for outcome in outcomes if outcome.failure)
+        stems = {path.relative_to(folder).with_suffix("").as_posix()
+                 for path in folder.rglob("[[]*") if path not in broken}  # fmt: skip
+        assert len(stems) == 75
+        assert names(tmp_path / "out") == {f"{stem}{ending}" for stem in stems for ending in ("_depth.png", ".json")}
+        for outcome in outcomes:
+            if outcome.failure is None:
+                depth = read_depth(outcome.photo.file("_depth.png"))
+                assert depth.shape == read_image(outcome.photo.path).shape[:2]
+
+    @pytest.mark.parametrize("relative", [False, True])
+    def test_a_second_run_gives_the_same_files(self, tmp_path: Path, relative: bool) -> None:
+        """Also where depth is written beside the photos: outputs are no inputs."""
+        for index in range(3):
+            write_photo(tmp_path / "sub" / f"{index}.jpg", seed=index)
+        for out in (tmp_path, tmp_path / "sub"):
+            before: set[str] = set()
+            for _ in range(2):
+                outcomes = run(tmp_path, out, Request("brightness", relative=relative))
+                assert len(outcomes) == 3
+                assert not any(outcome.failure for outcome in outcomes)
+                assert names(tmp_path) == (before or names(tmp_path))
+                before = names(tmp_path)
+
+    def test_an_input_is_never_overwritten(self, tmp_path: Path) -> None:
+        """a_depth.png is no output of ours here, for there is no a.json beside it."""
+        write_photo(tmp_path / "a.jpg")
+        truth = write_photo(tmp_path / "a_depth.png").read_bytes()
+        failures = {outcome.photo.path.name: outcome.failure for outcome in run(tmp_path, tmp_path)}
+        assert "a_depth.png would overwrite another photo" in failures["a.jpg"]
+        assert failures["a_depth.png"] is None
+        assert (tmp_path / "a_depth.png").read_bytes() == truth
+
+    def test_a_failure_of_the_model_or_the_disk_is_one_photo_s(self, tmp_path: Path) -> None:
+        class OutOfMemory(Brightness):
+            def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
+                if Path(str(image)).name == "1.png":
+                    raise RuntimeError("out of memory")
+                return super().__call__(image, domain=domain)
+
+        for seed in range(3):
+            write_photo(tmp_path / "in" / f"{seed}.png", seed=seed)
+        outcomes = run(tmp_path / "in", tmp_path / "out", predictor=OutOfMemory())
+        assert [outcome.failure is None for outcome in outcomes] == [True, False, True]
+        assert "1.png: RuntimeError: out of memory" in str(outcomes[1].failure)
+        assert not {name for name in names(tmp_path / "out") if name.startswith("1")}
+
+    def test_several_workers_run_at_the_same_time_and_write_what_one_writes(self, tmp_path: Path) -> None:
+        for seed in range(6):
+            write_photo(tmp_path / "in" / f"{seed}.png", seed=seed)
+        barrier = Barrier(3, timeout=60)
+
+        class Together(Brightness):
+            def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
+                barrier.wait()  # until three are here
+                return super().__call__(image, domain=domain)
+
+        run(tmp_path / "in", tmp_path / "1")
+        run(tmp_path / "in", tmp_path / "3", predictor=Together(), workers=3)
+        assert names(tmp_path / "1") == names(tmp_path / "3")
+        for seed in range(6):
+            one, three = ((tmp_path / out / f"{seed}_depth.png").read_bytes() for out in ("1", "3"))
+            assert one == three
+
+    def test_what_has_begun_when_interrupted_is_finished_and_told(self, tmp_path: Path) -> None:
+        class Interrupt(Brightness):
+            def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
+                if Path(str(image)).name == "1.png":
+                    raise KeyboardInterrupt
+                return super().__call__(image, domain=domain)
+
+        for seed in range(20):
+            write_photo(tmp_path / "in" / f"{seed:02d}.png".replace("01", "1"), seed=seed)
+        photos = find_photos([str(tmp_path / "in")], tmp_path / "out").photos
+        told = []
+
+        def consume() -> None:
+            for outcome in predict_all(photos, Interrupt(), Request("b", ("depth",))):
+                told.append(outcome)
+
+        with pytest.raises(KeyboardInterrupt):
+            consume()
+        stems = {outcome.photo.target.name for outcome in told}
+        assert names(tmp_path / "out") == {f"{stem}{ending}" for stem in stems for ending in ("_depth.png", ".json")}
+
+    def test_a_closed_iterator_leaves_no_file_half_written(self, tmp_path: Path) -> None:
+        for seed in range(20):
+            write_photo(tmp_path / "in" / f"{seed}.png", seed=seed)
+        outcomes = predict_all(find_photos([str(tmp_path / "in")], tmp_path / "out").photos, Brightness(), REQUEST)
+        first = next(outcomes)
+        outcomes.close()
+        written = names(tmp_path / "out")
+        assert first.photo.file(".json").exists()
+        stems = {name.removesuffix(".json") for name in written if name.endswith(".json")}
+        assert written == {f"{stem}{end}" for stem in stems for end in ("_depth.png", "_preview.jpg", ".json")}
+
+
+@pytest.mark.parametrize("workers", [1, 2, 1000])
+def test_forwards_side_by_side_share_the_cores(workers: int) -> None:
+    threads = torch.get_num_threads()
+    with share_cores(workers):
+        assert torch.get_num_threads() == (threads if workers == 1 else max(1, cpu_count() // workers))
+    assert torch.get_num_threads() == threads
