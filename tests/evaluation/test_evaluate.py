@@ -1,13 +1,16 @@
 """Every source on every data set: from Python, with a folder to go on in, and in several processes."""
 
 import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from PIL import Image
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
+from tests.folders import write_pairs
 
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError, MissingExtraError
@@ -16,6 +19,7 @@ from zoedepth.evaluation.evaluate import evaluate, folder_name
 from zoedepth.evaluation.evaluation_set import EvaluationSet
 from zoedepth.evaluation.summary import summarise
 
+DOCS = Path(__file__).parents[2] / "docs" / "evaluation.md"
 PROTOCOLS = {"indoor": EVERYWHERE}
 FACTORS = {f"{i}.jpg": 1 + 0.11 * i for i in range(4)}
 
@@ -165,3 +169,21 @@ def test_several_processes_need_a_folder(monkeypatch: pytest.MonkeyPatch) -> Non
 )
 def test_folder_is_named_after_the_label(text: str, expected: str) -> None:
     assert folder_name(text) == expected
+
+
+def test_example_of_the_documentation_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second = re.findall(r"^```python\n(.*?)^```$", DOCS.read_text(encoding="utf-8"), flags=re.M | re.S)
+    monkeypatch.chdir(tmp_path)
+    write_pairs(tmp_path / "rooms", n=1, split="test")
+    (tmp_path / "theirs").mkdir()
+    names: dict[str, Any] = {}
+    exec(first, names)
+    output = capsys.readouterr().out
+    assert "rooms, image 0: theirs has no depth of image/test_000.jpg" in output
+    assert "zoed-lite rooms REL 0." in output
+    assert "python compare.py" in (tmp_path / "report/report.md").read_text()
+    exec(second, names)
+    found = names["evaluate"]({"two metres": names["TwoMetres"]()}, names["sets"])
+    assert found.complete
