@@ -1,6 +1,7 @@
-"""A tiny training run of either stage: what every file of this folder starts from."""
+"""A tiny training of either stage, for all files of this folder."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,8 @@ from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.config import ModelConfig
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+from zoedepth.train.processes import launch_fabric
+from zoedepth.train.run import Run, set_up
 
 
 @pytest.fixture(scope="session")
@@ -28,7 +31,7 @@ def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
-    """Builds a run of four steps in float32, in this process; every field can be given another value."""
+    """Return a function that configures a training of four steps in float32; every field can get another value."""
 
     def make(stage: str = "metric", **fields: object) -> TrainConfig:
         defaults: dict[str, object] = {
@@ -44,9 +47,25 @@ def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
             "checkpoint_every": 2,
             "log_every": 1,
             "n_workers": 0,
-            # One at which the relative depth of the random tiny model is not 0 everywhere.
+            # With this one the relative depth of the random tiny model is not 0 everywhere.
             "seed": 3,
         }
         return TrainConfig(**{**defaults, **fields})
 
     return make
+
+
+@pytest.fixture
+def start_run(
+    make_config: Callable[..., TrainConfig], data: dict[str, Path], tmp_path: Path
+) -> Iterator[Callable[..., Run]]:
+    """Yield a function that sets up a run of stage 2 in ``tmp_path / "run"``; fields as in ``make_config``."""
+    with ExitStack() as stack:
+
+        def start(*, data: dict[str, Path] = data, init: str | None = None, **fields: object) -> Run:
+            config = make_config(**fields)
+            fabric = launch_fabric(config, devices=1, n_nodes=1)
+            context = set_up(config, fabric, part=lambda model: model, data=data, out=tmp_path / "run", init=init)
+            return stack.enter_context(context)
+
+        yield start

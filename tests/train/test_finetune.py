@@ -1,20 +1,24 @@
-"""Fine-tuning on somebody's own data: what is found, what is chosen, what comes out."""
+"""Fine-tuning on somebody's own data: what is chosen, what comes out."""
 
+import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
-from tests.folders import write_csv, write_disparity_pairs, write_pairs
+from tests.folders import write_pairs
+from tests.train.runs import write_sparse
+from torch import nn
 
 from zoedepth.cli import main
-from zoedepth.config import ModelConfig
+from zoedepth.config import EncoderConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.opening import open_dataset
-from zoedepth.train.finetune import plan
-from zoedepth.train.survey import survey
+from zoedepth.train import finetune as module
+from zoedepth.train.config import FinetuneOptions
+from zoedepth.train.finetune import Plan, plan, steps_for
 from zoedepth.weights.load import load_model, save_model
 
 
@@ -26,91 +30,125 @@ def init(tiny_model: ZoeDepth, tmp_path: Path) -> str:
     return str(path)
 
 
-def write_sparse(folder: Path, *, n: int = 3) -> Path:
-    """Photos with 2 % known pixels at 4 to 6 m, of a domain of their own."""
-    rng = np.random.default_rng(0)
-    (folder / "image").mkdir(parents=True)
-    rows = []
-    for index in range(n):
-        stored = np.where(rng.random((64, 96)) < 0.02, rng.uniform(4000, 6000, (64, 96)), 0).astype(np.uint16)
-        Image.fromarray(rng.integers(0, 255, (64, 96, 3), np.uint8)).save(folder / f"image/{index}.jpg")
-        Image.fromarray(stored).save(folder / f"image/{index}.png")
-        rows.append(
-            {"image": f"image/{index}.jpg", "depth": f"image/{index}.png", "depth_scale": 1000, "domain": "warehouse"}
-        )
-    return write_csv(folder / "train.csv", rows)
+@pytest.fixture
+def planned(init: str, tmp_path: Path):
+    """Return a function that plans with options of ``FinetuneOptions``; data are keywords NAME → path."""
+
+    def make(data: dict[str, Path], **options: object) -> Plan:
+        named = {name: str(path) for name, path in data.items()}
+        return plan(named, FinetuneOptions(**{"init": init, **options}), out=tmp_path / "out")
+
+    return make
 
 
-def test_survey_finds_ranges_sizes_and_density(tmp_path: Path):
-    found, samples = survey(open_dataset(write_pairs(tmp_path / "rooms", n=3)), name="rooms")
-    assert (found.n, found.n_seen, found.sizes, found.count) == (3, 3, ((64, 96),), {"indoor": 3})
-    assert found.known == pytest.approx(7 / 8)
-    assert 1.0 <= found.near["indoor"] < 2.5 and 4 < found.far["indoor"] <= 5.0  # noqa: PT018  # one range
-    assert not found.sparse
-    assert len(samples) == 3
+# ---------------------------------------------------------------------------------------------------- the plan
 
 
-def test_survey_sees_scattered_points(tmp_path: Path):
-    found, _ = survey(open_dataset(write_sparse(tmp_path)), name="lidar")
-    assert found.sparse
-    assert found.known == pytest.approx(0.02, abs=0.006)
-
-
-def test_data_without_metres_or_without_depth_is_an_error(tmp_path: Path):
-    with pytest.raises(InputError, match="stills has disparity"):
-        survey(open_dataset(write_disparity_pairs(tmp_path / "stills")), name="stills")
-    empty = write_pairs(tmp_path / "empty", n=2, without_truth=(0, 1))
-    with pytest.raises(InputError, match=r"no depth is known in any of 2 photos of \['indoor'\]"):
-        survey(open_dataset(empty), name="empty")
-
-
-def test_plan_fits_the_data(init: str, tmp_path: Path, tiny_config: ModelConfig):
-    path = write_pairs(tmp_path / "rooms", n=20)
-    chosen = plan({"rooms": str(path)}, init=init, out=tmp_path / "out")
+def test_plan_fits_the_data(planned, tmp_path: Path, tiny_config: ModelConfig):
+    chosen = planned({"rooms": write_pairs(tmp_path / "rooms", n=20)})
     config = chosen.config
     assert config.model == tiny_config
     assert config.holdout == 2
     assert [source.name for source in config.sources] == ["rooms"]
     assert not config.sources[0].sparse
-    # Forty and some epochs of 18 pairs, four at once.
-    assert config.steps == pytest.approx(40 * (30 / 18) ** 0 * 18 / 4, rel=0.01)
+    assert config.steps == 40 * 18 // 4  # 40 epochs of the 18 pairs that are left, 4 at once
+    assert config.validate_every == config.steps // 5
+    assert config.optim.learning_rate == 1.61e-4
+    # Data of one known domain teaches the router nothing.
     assert config.domain_weight == 0
-    assert (tmp_path / "out/data.jpg").is_file()
+    assert (chosen.new_domains, chosen.unseen_domains) == ((), ("outdoor",))
+    with Image.open(tmp_path / "out/data.jpg") as picture:
+        assert picture.size[0] > 2 * 320  # photo and depth
 
 
-def test_more_data_means_fewer_epochs(init: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    from zoedepth.train.finetune import _steps
+def test_options_go_before_what_the_data_suggests(planned, init: str, tmp_path: Path):
+    rooms = write_pairs(tmp_path / "rooms", n=8)
+    options = {"holdout": 3, "steps": 7, "batch_size": 5, "learning_rate": 0.5, "seed": 9}
+    config = planned({"rooms": rooms}, **options).config
+    found = (config.holdout, config.steps, config.batch_size, config.optim.learning_rate, config.seed)
+    assert found == tuple(options.values())
+    rooms.write_text("\n".join(line.rsplit(",", 2)[0] for line in rooms.read_text().splitlines()) + "\n")
+    (source,) = planned({"rooms": rooms}, domain="attic", depth_scale=500.0).config.sources
+    assert (source.domain, source.depth_scale) == ("attic", 500)
+    with pytest.raises(InputError, match="steps and batch_size must be at least 1; they are 0"):
+        planned({"rooms": rooms}, domain="attic", depth_scale=500.0, steps=0)
 
-    assert _steps(30, 4) == 300
-    assert _steps(1000, 4) == pytest.approx(40 * (30 / 1000) ** 0.4 * 250, rel=0.01)
-    assert _steps(24231, 16) == round(5 * 24231 / 16)  # the paper's five epochs
+
+def test_more_data_means_fewer_epochs():
+    assert steps_for(30, 4) == 300
+    assert steps_for(4, 4) == 100
+    assert steps_for(1000, 4) == pytest.approx(40 * (30 / 1000) ** 0.4 * 250, rel=0.01)
+    assert steps_for(24231, 16) == round(5 * 24231 / 16)  # the paper's five epochs
 
 
-def test_too_few_pairs_are_an_error(init: str, tmp_path: Path):
-    path = write_pairs(tmp_path / "rooms", n=1)
+def test_router_is_trained_where_there_is_something_to_tell_apart(planned, tmp_path: Path):
+    rooms = write_pairs(tmp_path / "rooms", n=2)
+    streets = write_pairs(tmp_path / "streets", n=3, domain="outdoor")
+    both = planned({"rooms": rooms, "streets": streets})
+    assert both.config.domain_weight == 1
+    assert both.config.batch_size == 3  # as many as are left
+    assert (both.new_domains, both.unseen_domains) == ((), ())
+    new = planned({"lidar": write_sparse(tmp_path / "lidar")})
+    assert new.config.domain_weight == 1
+    assert new.config.sources[0].sparse
+    assert [(domain.name, domain.max_depth) for domain in new.config.model.domains] == [
+        ("indoor", 10), ("outdoor", 80), ("warehouse", 8),
+    ]  # fmt: skip
+    assert (new.new_domains, new.unseen_domains) == (("warehouse",), ("indoor", "outdoor"))
+
+
+def test_convolutional_encoders_take_larger_rates(planned, tiny_config: ModelConfig, tmp_path: Path):
+    encoder = EncoderConfig("tf_efficientnet_lite0", "convolutional", size=(224, 224))
+    save_model(ZoeDepth(dataclasses.replace(tiny_config, encoder=encoder)), tmp_path / "lite.safetensors")
+    chosen = planned({"rooms": write_pairs(tmp_path / "rooms")}, init=str(tmp_path / "lite.safetensors"))
+    assert chosen.config.optim.learning_rate == 3e-4
+
+
+def test_models_that_cannot_be_fine_tuned_are_errors(
+    planned, tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    rooms = write_pairs(tmp_path / "rooms")
+    save_model(ZoeDepth(dataclasses.replace(tiny_config, domains=())), tmp_path / "relative.safetensors")
+    with pytest.raises(InputError, match=r"relative\.safetensors gives relative depth only"):
+        planned({"rooms": rooms}, init=str(tmp_path / "relative.safetensors"))
+    monkeypatch.setattr(module, "load_model", lambda name: nn.Module())
+    with pytest.raises(InputError, match="bts-n is a baseline"):
+        planned({"rooms": rooms}, init="bts-n")
+
+
+def test_too_few_pairs_are_an_error(planned, tmp_path: Path):
     with pytest.raises(InputError, match="a holdout of 1 leaves none"):
-        plan({"rooms": str(path)}, init=init, out=tmp_path / "out")
+        planned({"rooms": write_pairs(tmp_path / "rooms", n=1)})
+
+
+# ---------------------------------------------------------------------------------------------------- the command
 
 
 def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str, tmp_path: Path, capsys):
-    path = write_pairs(tmp_path / "rooms", n=6, size=(480, 640))  # Eigen's crop leaves something of this size
+    path = write_pairs(tmp_path / "rooms", n=6, size=(96, 128))
     out = tmp_path / "out"
-    arguments = ["train", "finetune", "--data", f"rooms={path}", "--init", init, "--out", str(out), "--steps", "60"]
+    arguments = ["train", "finetune", "--data", f"rooms={path}", "--init", init, "--out", str(out), "--steps", "40"]
     assert main([*arguments, "--learning-rate", "0.004", "--holdout", "2"]) == 0
     printed = capsys.readouterr()
-    assert "6 pairs, 640x480; depth known at 88% (dense)" in printed.err
+    assert "6 pairs, 128x96; depth known at 88% (dense)" in printed.err
     assert "before" in printed.out
     assert "after" in printed.out
+    assert printed.out.splitlines()[-1] == str(out / "model.safetensors")
     measured = json.loads((out / "metrics.json").read_text())["rooms"]
     assert measured["before"]["n_scored"] == measured["after"]["n_scored"] == 2
-    assert measured["after"]["metrics"]["rel"] < 0.8 * measured["before"]["metrics"]["rel"]
+    assert measured["after"]["metrics"]["rel"] < 0.9 * measured["before"]["metrics"]["rel"]
     assert load_model(out / "model.safetensors").config == load_model(init).config
     card = (out / "README.md").read_text()
     assert "rooms (4 pairs)" in card
     assert f"{measured['after']['metrics']['rel']:.3f}" in card
-    # Again: everything is there, nothing is trained.
+
+    # Again: everything is there, nothing is trained, the result is the same.
+    kept = [out / name for name in ("run/log.jsonl", "run/step_000040/train.pt", "metrics.json", "README.md")]
+    before = [file.read_bytes() for file in kept]
+    (out / "model.safetensors").unlink()
     assert main([*arguments, "--learning-rate", "0.004", "--holdout", "2"]) == 0
-    assert len((out / "run/log.jsonl").read_text().splitlines()) > 0
+    assert [file.read_bytes() for file in kept] == before
+    assert load_model(out / "model.safetensors").config == load_model(init).config
 
 
 def test_third_domain_of_scattered_depth_is_added_and_learned(init: str, tmp_path: Path, capsys):
@@ -122,10 +160,25 @@ def test_third_domain_of_scattered_depth_is_added_and_learned(init: str, tmp_pat
     assert "There is no photo of indoor, outdoor in the data" in error
     model = load_model(out / "model.safetensors")
     assert [domain.name for domain in model.config.domains] == ["indoor", "outdoor", "warehouse"]
-    assert model.config.domains[2].max_depth == 8.0
     measured = json.loads((out / "metrics.json").read_text())["lidar"]
     assert measured["after"]["router"] == 1
     assert measured["after"]["metrics"]["rel"] < measured["before"]["metrics"]["rel"]
+
+
+def test_router_that_is_wrong_about_the_photos_is_trained_after_all(tiny_model: ZoeDepth, init: str, tmp_path: Path):
+    with torch.no_grad():  # a router that sends all photos to the indoor head
+        tiny_model.router.classifier.mlp[-1].weight.zero_()
+        tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([1.0, 0.0]))
+    save_model(tiny_model, Path(init))
+    weights = {}
+    for domain in ("indoor", "outdoor"):
+        path = write_pairs(tmp_path / domain, n=2, domain=domain)
+        out = tmp_path / f"out-{domain}"
+        assert main(["train", "finetune", "--data", str(path), "--init", init, "--steps", "1", "--out", str(out)]) == 0
+        (measured,) = json.loads((out / "metrics.json").read_text()).values()
+        config = json.loads((out / "run/step_000001/meta.json").read_text())["config"]
+        weights[domain] = (measured["before"]["router"], config["domain_weight"])
+    assert weights == {"indoor": (1, 0), "outdoor": (0, 1)}
 
 
 def test_unit_and_domain_that_the_data_does_not_say_are_given(init: str, tmp_path: Path, capsys):

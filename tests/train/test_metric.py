@@ -1,16 +1,16 @@
 """Stage 2: it learns, it is reproducible, and an interrupted run goes on as if nothing had happened."""
 
 import dataclasses
-import json
 import shutil
+import signal
 from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
 import pytest
 import torch
-from safetensors.torch import load_file
 from tests.folders import write_pairs
+from tests.train.runs import assert_same_checkpoint, log_of, on_reading, weights_of
 
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.data.pairs import PairDataset
@@ -28,31 +28,6 @@ Data = dict[str, Path]
 
 CALM = SourceConfig("indoor", rotate_degrees=0.0, color_probability=0.0)
 """A source that leaves photos as they are, but for mirroring."""
-
-
-def weights(checkpoint: Path) -> dict[str, torch.Tensor]:
-    return load_file(checkpoint / "model.safetensors")
-
-
-def assert_same_checkpoint(first: Path, second: Path) -> None:
-    """Result, weights, moving average, optimizer and random state are the same, bit for bit."""
-    saved = [torch.load(folder / "train.pt", weights_only=True) for folder in (first, second)]
-    leaves = [torch.utils._pytree.tree_flatten(values) for values in saved]
-    assert leaves[0][1] == leaves[1][1]
-    for a, b in zip(leaves[0][0], leaves[1][0], strict=True):
-        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
-    for name, value in weights(first).items():
-        assert torch.equal(value, weights(second)[name]), name
-
-
-def log_of(out: Path) -> list[dict[str, float]]:
-    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-
-
-def read(monkeypatch: pytest.MonkeyPatch, change: Callable[[Sample], Sample]) -> None:
-    """Put a change between the files and the training."""
-    original = PairDataset.__getitem__
-    monkeypatch.setattr(PairDataset, "__getitem__", lambda self, index: change(original(self, index)))
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +127,7 @@ def test_batches_of_one_data_set_each_alternate(
     make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     read_domains = []
-    read(monkeypatch, lambda sample: read_domains.append(sample.domain) or sample)
+    on_reading(monkeypatch, lambda sample: read_domains.append(sample.domain) or sample)
     train_metric(make_config(mix_by="batch", batch_size=3), data=data, out=tmp_path / "out", init=None)
     assert read_domains == [*["indoor"] * 3, *["outdoor"] * 3] * 2
 
@@ -160,20 +135,10 @@ def test_batches_of_one_data_set_each_alternate(
 # ---------------------------------------------------------------------------------------------------- the same again
 
 
-def test_same_seed_gives_the_same_result_and_another_seed_another(
+def test_same_seed_gives_the_same_result_in_whichever_order_data_is_given(
     config: TrainConfig, data: Data, finished: Path, tmp_path: Path
 ) -> None:
-    torch.rand(3)  # what was drawn before does not matter
-    again = train_metric(config, data=data, out=tmp_path / "again", init=None)
-    other = train_metric(dataclasses.replace(config, seed=1), data=data, out=tmp_path / "other", init=None)
-
-    assert_same_checkpoint(finished / "step_000004", again)
-    assert any(not torch.equal(value, weights(other)[name]) for name, value in weights(again).items())
-
-
-def test_order_in_which_data_is_given_does_not_matter(
-    config: TrainConfig, data: Data, finished: Path, tmp_path: Path
-) -> None:
+    torch.rand(3)  # numbers drawn before do not matter
     again = train_metric(config, data=dict(reversed(data.items())), out=tmp_path, init=None)
     assert_same_checkpoint(finished / "step_000004", again)
 
@@ -208,7 +173,7 @@ def test_interrupted_run_keeps_its_checkpoints_and_goes_on(
         return sample
 
     with monkeypatch.context() as patch:
-        read(patch, interrupt)
+        on_reading(patch, interrupt)
         with pytest.raises(KeyboardInterrupt):
             train_metric(config, data=data, out=tmp_path, init=None)
     assert [path.name for path in checkpoints(tmp_path)] == ([] if after == 1 else ["step_000002"])
@@ -217,6 +182,31 @@ def test_interrupted_run_keeps_its_checkpoints_and_goes_on(
     resumed = train_metric(config, data=data, out=tmp_path, init=None)
     assert_same_checkpoint(finished / "step_000004", resumed)
     assert [line["step"] for line in log_of(tmp_path)] == [1, 2, 3, 4]
+
+
+def test_signal_finishes_the_step_and_writes_a_checkpoint_from_which_the_run_goes_on(
+    config: TrainConfig, data: Data, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = dataclasses.replace(config, checkpoint_every=100)
+    n_read = 0
+
+    def interrupt(sample: Sample) -> Sample:
+        nonlocal n_read
+        n_read += 1
+        if n_read == config.batch_size + 1:  # the first sample of step 2
+            signal.raise_signal(signal.SIGTERM)
+        return sample
+
+    before = signal.getsignal(signal.SIGTERM)
+    with monkeypatch.context() as patch:
+        on_reading(patch, interrupt)
+        with pytest.raises(KeyboardInterrupt, match="step 2 is saved"):
+            train_metric(config, data=data, out=tmp_path)
+    assert signal.getsignal(signal.SIGTERM) is before
+    assert [path.name for path in checkpoints(tmp_path)] == ["step_000002"]
+    resumed = train_metric(config, data=data, out=tmp_path)
+    whole = weights_of(finished / "step_000004")
+    assert all(torch.equal(value, whole[name]) for name, value in weights_of(resumed).items())
 
 
 def test_finished_run_is_left_as_it_is(config: TrainConfig, data: Data, out: Path) -> None:
@@ -257,20 +247,19 @@ def test_result_is_the_moving_average_and_loads_like_any_model(config: TrainConf
     assert any(not torch.equal(value, saved["model"][name]) for name, value in result.items())
 
 
-def test_checkpoints_come_at_their_steps_and_at_the_end(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
-    config = make_config(steps=5, checkpoint_every=4, log_every=2)
-    last = train_metric(config, data=data, out=tmp_path, init=None)
-    assert last == tmp_path / "step_000005"
-    assert [path.name for path in checkpoints(tmp_path)] == ["step_000004", "step_000005"]
-    assert [line["step"] for line in log_of(tmp_path)] == [2, 4, 5]
-    assert list((tmp_path / "tensorboard").glob("events*"))
+def test_log_has_every_part_of_the_loss_and_the_norm_of_the_gradients(finished: Path) -> None:
+    for line in log_of(finished):
+        assert {name for name in line if name.startswith("train/")} == {
+            "train/silog", "train/domain", "train/gradient_norm",
+        }  # fmt: skip
+        assert line["train/gradient_norm"] > 0
 
 
 def test_held_out_photos_are_validated_not_trained_on(
     make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names: list[str] = []
-    read(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
+    on_reading(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
     config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2, pictures=0)
     train_metric(config, data=data, out=tmp_path, init=None)
 
@@ -288,14 +277,6 @@ def test_held_out_photos_are_validated_not_trained_on(
     assert set(trained[1::2]) == {"train_000.jpg"}
 
 
-def test_held_out_photos_without_truth_do_not_stop_the_training(make_config: MakeConfig, tmp_path: Path) -> None:
-    # Smaller than the Eigen crop's corner: no pixel of it is scored.
-    small = write_pairs(tmp_path / "small", n=2, size=(40, 40))
-    config = make_config(steps=1, holdout=1)
-    last = train_metric(config, data={"indoor": small}, out=tmp_path / "out", init=None)
-    assert last.name == "step_000001"
-
-
 def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_intact(
     config: TrainConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -306,7 +287,7 @@ def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_int
         fourth_step = len(names) > 3 * config.batch_size
         return dataclasses.replace(sample, image=sample.image * float("nan")) if fourth_step else sample
 
-    read(monkeypatch, spoil)
+    on_reading(monkeypatch, spoil)
     with pytest.raises(TrainingError, match="step 4") as raised:
         train_metric(config, data=data, out=tmp_path, init=None)
 
@@ -324,14 +305,15 @@ def test_depth_that_is_not_a_number_is_unknown(
         target[0, ::2] = float("nan")
         return dataclasses.replace(sample, target=target)
 
-    read(monkeypatch, spoil)
+    on_reading(monkeypatch, spoil)
     last = train_metric(make_config(steps=2), data=data, out=tmp_path, init=None)
     assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
 
 
 def test_photos_without_any_depth_leave_a_finite_model(make_config: MakeConfig, tmp_path: Path) -> None:
-    empty = write_pairs(tmp_path / "empty", n=2, without_truth=(0, 1))
-    last = train_metric(make_config(steps=2), data={"indoor": empty}, out=tmp_path / "out", init=None)
+    empty = write_pairs(tmp_path / "empty", n=3, without_truth=(0, 1, 2))
+    last = train_metric(make_config(steps=2, holdout=1), data={"indoor": empty}, out=tmp_path / "out", init=None)
+    assert [line["train/silog"] for line in log_of(tmp_path / "out") if "train/silog" in line] == [0, 0]
     assert all(value.isfinite().all() for value in load_model(last).state_dict().values())
 
 

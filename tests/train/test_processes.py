@@ -1,69 +1,52 @@
 """Two processes train as one: the same curve of the loss at the same global batch."""
 
-import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import torch
 from tests.folders import write_disparity_pairs, write_pairs
+from tests.train import both_stages
+from tests.train.runs import log_of
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.train import processes
 from zoedepth.train.config import TrainConfig
-from zoedepth.train.processes import launch_fabric
-
-COMMON = [
-    "--config.steps", "20", "--config.batch-size", "8", "--config.model.size", "64", "64", "--config.precision",
-    "32-true", "--config.n-workers", "0", "--config.log-every", "1", "--config.pictures", "0",
-    "--config.checkpoint-every", "20",
-]  # fmt: skip
+from zoedepth.train.processes import launch_fabric, resolve, several_processes, total
 
 
-def train(command: list[str], out: Path) -> list[dict[str, float]]:
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    done = subprocess.run([sys.executable, *command, "--out", str(out)], capture_output=True, text=True,
-                          env=environment, timeout=300)  # fmt: skip
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of both stages, trained by "one" process and by "two"."""
+    folder = tmp_path_factory.mktemp("processes")
+    write_pairs(folder / "data/indoor", n=6)
+    write_pairs(folder / "data/outdoor", n=4, domain="outdoor")
+    write_disparity_pairs(folder / "data/relative", n=3)
+    torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
+    done = subprocess.run(
+        [*torchrun, both_stages.__file__, str(folder / "data"), str(folder / "two")],
+        capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}, timeout=300,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr[-3000:]
-    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    both_stages.train_both(folder / "data", folder / "one")
+    return folder
 
 
 @pytest.mark.parametrize(
-    ("recipe", "options", "shown"),
+    ("stage", "shown"),
     [
-        ("zoed_lite", ["--config.optim.learning-rate", "3e-5"], ["train/silog", "train/domain"]),
-        # Medians, signs and trimming jump: with larger steps the last digit of a sum decides where after ten of them.
-        (
-            "zoed_lite_relative",
-            [
-                "--config.optim.learning-rate",
-                "1e-6",
-                "--init",
-                "zoed-lite",
-                "--config.task-weights",
-                "pareto",
-                "--config.pareto-every",
-                "2",
-            ],
-            ["train/ssi", "train/weight/indoor", "train/weight/outdoor", "train/weight/relative"],
-        ),
+        ("metric", ["train/silog", "train/domain"]),
+        ("relative", ["train/ssi", "train/weight/indoor", "train/weight/outdoor", "train/weight/relative"]),
     ],
-    ids=["metric", "relative with Pareto weights"],
 )
-def test_two_processes_give_the_curve_of_one(recipe: str, options: list[str], shown: list[str], tmp_path: Path) -> None:
-    data = [
-        f"indoor={write_pairs(tmp_path / 'rooms', n=6)}",
-        f"outdoor={write_pairs(tmp_path / 'streets', n=4, domain='outdoor')}",
-    ]
-    if recipe.endswith("relative"):
-        data.append(f"relative={write_disparity_pairs(tmp_path / 'stills', n=3)}")
-    arguments = ["train", recipe, "--data", *data, *COMMON, *options]
-    one = train(["-m", "zoedepth", *arguments], tmp_path / "one")
-    torchrun = ["-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m", "zoedepth"]
-    two = train([*torchrun, *arguments], tmp_path / "two")
-    assert [line["step"] for line in two] == list(range(1, 21))
+def test_two_processes_give_the_curve_of_one(trained: Path, stage: str, shown: list[str]) -> None:
+    one, two = (log_of(trained / n / stage) for n in ("one", "two"))
+    assert [line["step"] for line in two] == list(range(1, both_stages.STEPS + 1))
     for name in shown:
         values = [[line[name] for line in lines if name in line] for lines in (one, two)]
+        # Sums over halves of a batch differ in float32's last digits, which ten steps of training enlarge.
         assert values[1] == pytest.approx(values[0], rel=1e-4, abs=1e-4), name
         assert max(values[0]) - min(values[0]) > 0.01, "a curve, nothing that stands still"
 
@@ -72,5 +55,86 @@ def test_devices_that_contradict_torchrun_are_an_error(make_config, monkeypatch:
     for name, value in {"TORCHELASTIC_RUN_ID": "none", "WORLD_SIZE": "4", "LOCAL_WORLD_SIZE": "2"}.items():
         monkeypatch.setenv(name, value)
     config: TrainConfig = make_config()
-    with pytest.raises(InputError, match="torchrun has started 2 processes here, --devices says 3"):
+    with pytest.raises(InputError, match="torchrun has started 2 processes here, but --devices says 3"):
         launch_fabric(config, devices=3, n_nodes=1)
+
+
+@pytest.mark.parametrize(
+    ("environment", "devices", "n_nodes", "expected"),
+    [
+        ({}, None, 1, (1, 1, "auto")),
+        ({}, 2, 3, (2, 3, "DDPStrategy")),
+        ({"TORCHELASTIC_RUN_ID": "x", "WORLD_SIZE": "8", "LOCAL_WORLD_SIZE": "2"}, None, 1, (2, 4, "DDPStrategy")),
+        ({"TORCHELASTIC_RUN_ID": "x", "WORLD_SIZE": "1", "LOCAL_WORLD_SIZE": "1"}, 1, 1, (1, 1, "auto")),
+    ],
+)
+def test_processes_are_those_that_were_asked_for_or_torchruns(
+    make_config, monkeypatch: pytest.MonkeyPatch, environment: dict[str, str], devices: int | None, n_nodes: int,
+    expected: tuple[int, int, str],
+) -> None:  # fmt: skip
+    import lightning_fabric
+
+    for name in ("TORCHELASTIC_RUN_ID", "WORLD_SIZE", "LOCAL_WORLD_SIZE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    made = []
+
+    class Recorded:
+        def __init__(self, *, devices: int, num_nodes: int, strategy: object, precision: str, accelerator: str) -> None:
+            made.append((devices, num_nodes, strategy if isinstance(strategy, str) else type(strategy).__name__))
+            made.append(precision)
+
+        def launch(self) -> None:
+            made.append("launched")
+
+    monkeypatch.setattr(lightning_fabric, "Fabric", Recorded)
+    launch_fabric(make_config(precision="16-mixed"), devices=devices, n_nodes=n_nodes)
+    assert made == [expected, "16-mixed", "launched"]
+
+
+def test_without_fabric_the_extra_is_named(make_config, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "lightning_fabric", None)
+    with pytest.raises(MissingExtraError, match=r"zoedepth\[train\]"):
+        launch_fabric(make_config(), devices=1, n_nodes=1)
+
+
+@pytest.mark.parametrize(
+    ("cuda", "cuda_bf16", "mps", "cpu_bf16", "expected"),
+    [
+        (True, True, False, False, "bf16-mixed"),
+        (True, False, False, True, "16-mixed"),
+        (False, False, True, True, "32-true"),
+        (False, False, False, True, "bf16-mixed"),
+        (False, False, False, False, "32-true"),
+    ],
+)
+def test_precision_is_that_of_the_hardware_unless_given(
+    monkeypatch: pytest.MonkeyPatch, cuda: bool, cuda_bf16: bool, mps: bool, cpu_bf16: bool, expected: str
+) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda)
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: cuda_bf16)
+    monkeypatch.setattr(torch.backends.mps, "is_available", lambda: mps)
+    monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: cpu_bf16, raising=False)
+    assert resolve("auto") == expected
+    assert resolve("16-mixed") == "16-mixed"
+    assert resolve("32-true") == "32-true"
+
+
+def test_total_of_one_process_is_the_tensor_itself() -> None:
+    x = torch.ones(2, requires_grad=True)
+    assert not several_processes()
+    assert total(x) is x
+
+
+def test_total_sums_over_processes_and_its_gradient_is_that_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another process with the same values is played by doubling."""
+    monkeypatch.setattr(processes, "several_processes", lambda: True)
+    monkeypatch.setattr(processes.distributed, "all_reduce", lambda x: x.mul_(2))
+    monkeypatch.setattr(processes.distributed, "get_world_size", lambda: 2)
+    x = torch.tensor([1.0, 3.0], requires_grad=True)
+    summed = total(x)
+    assert summed.tolist() == [2, 6]
+    assert x.tolist() == [1, 3], "the tensor itself is left as it is"
+    (summed * torch.tensor([1.0, 10.0])).sum().backward()
+    assert x.grad.tolist() == [2, 20]

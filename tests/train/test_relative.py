@@ -1,7 +1,6 @@
 """Stage 1: it learns from depth and disparity alike, goes on exactly, and its result starts stage 2."""
 
 import dataclasses
-import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,11 +9,12 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from safetensors.torch import load_file
 from tests.folders import write_csv, write_disparity_pairs, write_pairs
+from tests.train.runs import assert_same_checkpoint, log_of, on_reading, weights_of
 
 from zoedepth.data.augment import to_disparity
 from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Sample
 from zoedepth.errors import TrainingError
 from zoedepth.losses import mean_counted, scale_and_shift_invariant
 from zoedepth.model.zoedepth import ZoeDepth
@@ -27,13 +27,14 @@ MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]
 
 
-def log_of(out: Path) -> list[dict[str, float]]:
-    return [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+# AdamW's first steps are signs of gradients, which turn the last digit into a whole step: eps calms it.
+CALM = OptimConfig(learning_rate=1e-3, encoder_factor=1.0, warmup=0.3, clip=1.0, eps=1.0)
 
 
 @pytest.fixture(scope="module")
 def config(make_config: MakeConfig) -> TrainConfig:
-    return make_config("relative")
+    """A run whose steps have two batches each."""
+    return make_config("relative", batch_size=4, accumulate=2)
 
 
 @pytest.fixture(scope="module")
@@ -133,12 +134,7 @@ def test_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
     resumed = train_relative(config, data=all_data, out=out, init=None)
 
     assert resumed == out / "step_000004"
-    saved = [torch.load(folder / "step_000004" / "train.pt", weights_only=True) for folder in (finished, out)]
-    leaves = [torch.utils._pytree.tree_leaves(values) for values in saved]
-    for a, b in zip(*leaves, strict=True):
-        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
-    results = [load_file(folder / "step_000004" / "model.safetensors") for folder in (finished, out)]
-    assert all(torch.equal(value, results[1][name]) for name, value in results[0].items())
+    assert_same_checkpoint(finished / "step_000004", resumed)
 
 
 def test_result_starts_the_second_stage(make_config: MakeConfig, data: Data, finished: Path, tmp_path: Path) -> None:
@@ -161,15 +157,126 @@ def test_depth_of_an_unknown_domain_is_welcome(make_config: MakeConfig, tmp_path
 def test_loss_that_is_not_finite_stops_with_the_photos_named_and_checkpoints_intact(
     config: TrainConfig, all_data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original, n_read = PairDataset.__getitem__, 0
+    n_read = 0
 
-    def spoil(dataset: PairDataset, index: int) -> object:
+    def spoil(sample: Sample) -> Sample:
         nonlocal n_read
         n_read += 1
-        sample = original(dataset, index)
-        return dataclasses.replace(sample, image=sample.image * float("nan")) if n_read > 4 else sample
+        return dataclasses.replace(sample, image=sample.image * float("nan")) if n_read > 8 else sample
 
-    monkeypatch.setattr(PairDataset, "__getitem__", spoil)
+    on_reading(monkeypatch, spoil)
     with pytest.raises(TrainingError, match=r"step 3.*\.jpg"):
         train_relative(config, data=all_data, out=tmp_path, init=None)
     assert all(value.isfinite().all() for value in load_model(tmp_path / "step_000002").state_dict().values())
+
+
+# ---------------------------------------------------------------------------------------------------- several batches
+
+
+def test_accumulated_step_is_that_of_the_whole_batch(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
+    results, logs = [], []
+    for accumulate in (1, 2):
+        config = make_config("relative", batch_size=4, steps=2, ema_decay=None, accumulate=accumulate, optim=CALM)
+        out = tmp_path / str(accumulate)
+        results.append(weights_of(train_relative(config, data=data, out=out)))
+        logs.append(log_of(out))
+    for name, value in results[0].items():
+        torch.testing.assert_close(results[1][name], value, rtol=1e-4, atol=1e-6, msg=name)
+    for one, two in zip(*logs, strict=True):
+        assert one["step"] == two["step"]
+        assert two["train/ssi"] == pytest.approx(one["train/ssi"], rel=1e-4)
+        assert two["train/gradient_norm"] == pytest.approx(one["train/gradient_norm"], rel=1e-3)
+
+
+# ---------------------------------------------------------------------------------------------------- many data sets
+
+
+def weights_in(out: Path) -> list[list[float]]:
+    """Return the logged weights of the three data sets, a row a step."""
+    names = ("indoor", "outdoor", "relative")
+    return [[line[f"train/weight/{name}"] for name in names] for line in log_of(out)]
+
+
+def test_every_image_has_the_same_weight_unless_configured(
+    make_config: MakeConfig, all_data: Data, tmp_path: Path
+) -> None:
+    sources = tuple(
+        dataclasses.replace(source, weight=w) for source, w in zip(make_config().sources, (3, 2, 1), strict=True)
+    )
+    train_relative(make_config("relative", steps=1, batch_size=6, sources=sources), data=all_data, out=tmp_path)
+    (line,) = log_of(tmp_path)
+    assert weights_in(tmp_path) == [pytest.approx([3 / 6, 2 / 6, 1 / 6])]
+    losses = [line[f"train/ssi/{name}"] for name in ("indoor", "outdoor", "relative")]
+    assert line["train/ssi"] == pytest.approx((3 * losses[0] + 2 * losses[1] + losses[2]) / 6)
+
+
+@pytest.mark.parametrize("fields", [{}, {"precision": "bf16-mixed", "pareto_parameters": "all"}])
+def test_pareto_weights_lower_the_norm_of_the_gradient(
+    make_config: MakeConfig, all_data: Data, tmp_path: Path, fields: dict[str, object]
+) -> None:
+    """Under mixed precision Fabric guards against backward passes that it does not know."""
+    norms = []
+    for task_weights in ("images", "pareto"):
+        config = make_config("relative", steps=1, batch_size=6, task_weights=task_weights, **fields)
+        out = tmp_path / task_weights
+        train_relative(config, data=all_data, out=out)
+        norms.append(log_of(out)[0]["train/gradient_norm"])
+    (weights,) = weights_in(out)
+    assert sum(weights) == pytest.approx(1, abs=1e-5)
+    assert min(weights) >= 0
+    assert weights != pytest.approx([1 / 3] * 3, abs=0.01)
+    assert norms[1] < norms[0]
+
+
+def test_pareto_weights_outlive_an_interruption(make_config: MakeConfig, all_data: Data, tmp_path: Path) -> None:
+    """Solved for at every third step: between them, a resumed run needs the last solution."""
+    config = make_config("relative", steps=4, batch_size=6, task_weights="pareto", pareto_every=3)
+    whole = train_relative(config, data=all_data, out=tmp_path / "whole")
+
+    shutil.copytree(tmp_path / "whole/step_000002", tmp_path / "out/step_000002")
+    resumed = train_relative(config, data=all_data, out=tmp_path / "out")
+    assert_same_checkpoint(whole, resumed)
+    weights = weights_in(tmp_path / "whole")
+    assert all(sum(row) == pytest.approx(1, abs=1e-5) for row in weights)
+    assert weights[1] == weights[0] == weights[2]
+    assert weights[3] != weights[2]
+    assert weights_in(tmp_path / "out") == weights[2:]
+
+
+def test_pareto_weights_are_solved_for_again_where_a_data_set_has_none(
+    make_config: MakeConfig, all_data: Data, tmp_path: Path
+) -> None:
+    """A batch of two has two of the three data sets, in turn."""
+    config = make_config("relative", steps=3, batch_size=2, task_weights="pareto", pareto_every=100)
+    last = train_relative(config, data=all_data, out=tmp_path)
+    for line in log_of(tmp_path):
+        present = [value for name, value in line.items() if name.startswith("train/weight/")]
+        assert len(present) == 2
+        assert sum(present) == pytest.approx(1, abs=1e-5)
+    kept = torch.load(last / "train.pt", weights_only=True)["task_weights"]
+    assert kept.isnan().sum() == 1
+
+
+def test_batch_without_any_known_depth_changes_nothing(make_config: MakeConfig, tmp_path: Path) -> None:
+    empty = {name: write_pairs(tmp_path / name, n=1, without_truth=(0,)) for name in ("indoor", "outdoor")}
+    optim = OptimConfig(weight_decay=0.0)
+    for task_weights in ("images", "pareto"):
+        config = make_config("relative", steps=1, task_weights=task_weights, optim=optim, ema_decay=None)
+        torch.manual_seed(0)
+        start = ZoeDepth(config.model)
+        save_model(start, tmp_path / "start.safetensors")
+        last = train_relative(config, data=empty, out=tmp_path / task_weights, init=str(tmp_path / "start.safetensors"))
+        after = load_model(last).state_dict()
+        assert all(torch.equal(value, after[name]) for name, value in start.state_dict().items())
+        assert log_of(tmp_path / task_weights)[0]["train/ssi"] == 0
+
+
+def test_gradient_term_can_be_left_out_for_a_source(make_config: MakeConfig, data: Data, tmp_path: Path) -> None:
+    losses = []
+    for term in (True, False):
+        config = make_config("relative", steps=1)
+        sources = tuple(dataclasses.replace(source, gradient_term=term) for source in config.sources)
+        config = dataclasses.replace(config, sources=sources)
+        train_relative(config, data={"indoor": data["indoor"]}, out=tmp_path / str(term))
+        losses.append(log_of(tmp_path / str(term))[0]["train/ssi"])
+    assert losses[1] < 0.9 * losses[0]

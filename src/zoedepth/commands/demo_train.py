@@ -1,4 +1,4 @@
-"""``zoedepth demo-train``: both stages on rendered scenes, from nothing to a model and a picture in minutes."""
+"""``zoedepth demo-train``: train both stages on rendered scenes; a model and a picture after minutes."""
 
 import json
 import shutil
@@ -14,14 +14,14 @@ from zoedepth.recipes import demo
 
 
 def demo_train(*, out: Path = Path("demo-train"), scenes: int = 160, seed: int = 0) -> int:
-    """Train a tiny model in both stages on rendered rooms and streets; no data, no download.
+    """Train a tiny model in both stages on rendered rooms and streets, without data and without a download.
 
-    An interrupted run goes on when the command is typed again.
+    Type the same command again to go on after an interruption.
 
     Args:
-        out: folder to write to: the scenes, both runs, predictions.jpg.
-        scenes: how many are rendered; the last twelve are held out.
-        seed: of the scenes.
+        out: folder for the scenes, both runs, and predictions.jpg.
+        scenes: number of scenes to render; the last twelve are held out.
+        seed: seed of the scenes.
     """
     from zoedepth.opening import open_dataset
     from zoedepth.shards.writer import ShardSize, write_shards

@@ -16,34 +16,55 @@ from zoedepth.config import BaselineConfig
 from zoedepth.errors import InputError
 from zoedepth.presets import with_encoder, with_head
 from zoedepth.recipes import RECIPES
-from zoedepth.train.config import TrainConfig
+from zoedepth.train.config import FinetuneOptions, TrainConfig
 
 if TYPE_CHECKING:
     from zoedepth.train.finetune import Plan
 
 
 @dataclass(frozen=True)
-class Run:
-    """What a run needs beside its recipe."""
+class TrainOptions:
+    """Train a recipe on data sets; an unfinished run in --out goes on."""
 
     data: tuple[str, ...]
     """NAME=SOURCE of each data set: NAME is a source of the recipe; SOURCE is a list, a folder, shards, a published
     data set's folder, hf:OWNER/NAME or synthetic:all (docs/your-data.md)."""
     out: Path
-    """The run's folder: checkpoints, log.jsonl, TensorBoard. An unfinished run in it goes on."""
+    """Folder of the run: checkpoints, log.jsonl, TensorBoard. An unfinished run in it goes on."""
     init: str | None = None
     """Starting weights: "imagenet", a model's name, a .safetensors file or the folder of a checkpoint."""
     devices: int | None = None
-    """Processes on this machine, one a GPU (or, on the CPU, one a group of cores); under torchrun, its own number."""
+    """Processes on this machine: one for each GPU, or on the CPU one for each group of cores. Leave it out under
+    torchrun."""
     nodes: int = 1
-    """Machines."""
+    """Number of machines. Leave it out under torchrun."""
     head: str | None = None
-    """Another metric head than the recipe's: attractor, splitter, pixelbins, dorn, newcrfs, naive, adabins or bts, as
-    the paper compares it; its own fields are then under --config.model.head."""
+    """Another metric head than the recipe's: attractor, splitter, pixelbins, dorn, newcrfs, naive, adabins or bts, with
+    the settings of the paper's comparison. Change its fields with --config.model.head.FIELD."""
     encoder: str | None = None
-    """Another encoder than the recipe's, by its timm name; of a baseline, any that gives maps at its strides."""
+    """Another encoder than the recipe's, by its timm name. A baseline takes any encoder with maps at its strides."""
     config: TrainConfig = field(default_factory=RECIPES["zoed_lite"])
-    """The recipe; every field can be overridden."""
+    """The recipe. Every field can be overridden."""
+
+
+@dataclass(frozen=True)
+class _FinetuneCommand:
+    """Fine-tune a model on photos with depth of your own, with defaults that fit them.
+
+    The command looks at the data first, and says what it found and chose; out/data.jpg shows some of it. The last pairs
+    are held out, and the model is measured on them before and after. A domain that the model does not have gets a head
+    of its own. Scattered depth, such as lidar's, is fine. Type the same command again to go on after an interruption.
+    """
+
+    data: tuple[str, ...]
+    """SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself."""
+    options: Annotated[FinetuneOptions, tyro.conf.arg(name="")] = field(default_factory=FinetuneOptions)
+    devices: int | None = None
+    """Processes on this machine. Leave it out under torchrun."""
+    nodes: int = 1
+    """Number of machines. Leave it out under torchrun."""
 
 
 _USAGE = f"""usage: zoedepth train finetune --data SOURCE --out DIR     your own photos with depth
@@ -54,39 +75,47 @@ recipes: {", ".join(RECIPES)}     (zoedepth train RECIPE --help for all fields)"
 
 
 def train(arguments: Sequence[str]) -> int:
-    """Train a recipe; what stands in --out is gone on with."""
+    """Train a recipe, or go on with the run in --out."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(_USAGE)
         return 0 if arguments else 2
     name, *rest = arguments
     if name == "finetune":
-        return tyro.cli(finetune, args=rest, prog="zoedepth train finetune")
+        return finetune(tyro.cli(_FinetuneCommand, args=rest, prog="zoedepth train finetune"))
     if name not in RECIPES:
-        raise InputError(f"there is no recipe {name!r}; there are {sorted(RECIPES)}")
+        raise InputError(f"there is no recipe {name!r}; choose one of {sorted(RECIPES)}")
     config = _with_parts(RECIPES[name](), rest)
-    run = tyro.cli(
-        Run,
+    options = tyro.cli(
+        TrainOptions,
         args=rest,
         prog=f"zoedepth train {name}",
-        default=Run(data=tyro.MISSING, out=tyro.MISSING, config=config),
+        default=TrainOptions(data=tyro.MISSING, out=tyro.MISSING, config=config),
         config=(tyro.conf.AvoidSubcommands,),
     )
-    if run.config.stage == "relative":
-        from zoedepth.train.relative import train_relative as run_stage
+    if options.config.stage == "relative":
+        from zoedepth.train.relative import train_relative as train_stage
     else:
-        from zoedepth.train.metric import train_metric as run_stage
-    last = run_stage(
-        run.config, data=named_sources(run.data), out=run.out, init=run.init, devices=run.devices, n_nodes=run.nodes
+        from zoedepth.train.metric import train_metric as train_stage
+    print(
+        train_stage(
+            options.config,
+            data=named_sources(options.data),
+            out=options.out,
+            init=options.init,
+            devices=options.devices,
+            n_nodes=options.nodes,
+        )
     )
-    print(last)
     return 0
 
 
 def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
-    """The recipe with the head and the encoder that the command line names: the fields that can be set depend on them.
+    """Return the recipe with the head and the encoder that the command line names.
+
+    They are read before all other options, because the fields that can be overridden depend on them.
 
     Raises:
-        InputError: there are no such, or the recipe's model cannot have them.
+        InputError: the head or the encoder does not exist, or the recipe's model cannot have it.
     """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
     parser.add_argument("--head")
@@ -95,7 +124,7 @@ def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
     model = config.model
     if isinstance(model, BaselineConfig):
         if chosen.head is not None:
-            raise InputError("a baseline has the head it has; --head is for the recipes of ZoeDepth")
+            raise InputError("a baseline's head cannot be changed: --head is for the recipes of ZoeDepth, leave it out")
         if chosen.encoder is not None:
             model = replace(model, network=replace(model.network, encoder=chosen.encoder))
         return replace(config, model=model)
@@ -104,52 +133,15 @@ def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
     return replace(config, model=model if chosen.head is None else with_head(model, chosen.head))
 
 
-def finetune(
-    *,
-    data: tuple[str, ...],
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
-    init: str = "zoed-lite",
-    domain: str | None = None,
-    depth_scale: float | None = None,
-    holdout: int | None = None,
-    steps: int | None = None,
-    batch_size: int | None = None,
-    learning_rate: float | None = None,
-    seed: int = 43,
-    devices: int | None = None,
-    nodes: int = 1,
-) -> int:
-    """Go on training a model on photos with depth of your own, with defaults that fit them.
-
-    It looks at the data first and says what it found and chose; out/data.jpg shows some of it. The last pairs are held
-    out: the model is measured on them before and after. A domain the model does not have gets a head of its own.
-    Scattered depth, as lidar's, is fine. An interrupted run goes on when the command is typed again.
-
-    Args:
-        data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed.
-        out: folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself.
-        init: model to start from: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id.
-        domain: scene type of photos whose data says none: indoor, outdoor or your own.
-        depth_scale: stored value of one metre in PNGs, where the data says none.
-        holdout: pairs held out, the last of each set; None: a seventh, at most 50.
-        steps: optimizer steps; None: by the number of pairs.
-        batch_size: samples a step; None: 4.
-        learning_rate: highest rate; None: by the kind of encoder.
-        seed: of the order of the data and the augmentations.
-        devices: processes on this machine; under torchrun, its own number.
-        nodes: machines.
-    """
-    from zoedepth.train.finetune import finetune as run
-    from zoedepth.train.finetune import plan as make_plan
+def finetune(command: _FinetuneCommand) -> int:
+    """Fine-tune, and print what was found, what was chosen, and the comparison of before and after."""
+    from zoedepth.train import finetune as finetuning
 
     console = Console(stderr=True, highlight=False)
-    plan = make_plan(
-        named_sources(data), init=init, out=out, domain=domain, depth_scale=depth_scale, holdout=holdout, steps=steps,
-        batch_size=batch_size, learning_rate=learning_rate, seed=seed,
-    )  # fmt: skip
-    for line in _described(plan, out):
+    plan = finetuning.plan(named_sources(command.data), command.options, out=command.out)
+    for line in _described(plan, command.out):
         console.print(line, soft_wrap=True, markup=False)
-    measured = run(plan, out=out, devices=devices, n_nodes=nodes)
+    measured = finetuning.finetune(plan, out=command.out, devices=command.devices, n_nodes=command.nodes)
     if int(os.environ.get("RANK", "0")):
         return 0
     table = Table("held out", "pairs", "model", "REL", "RMSE (m)", "delta1", title="Before and after")
@@ -161,12 +153,12 @@ def finetune(
             )
             table.add_row(name, str(summary.n_scored), summary.source, *cells)
     Console(highlight=False).print(table)
-    print(out / "model.safetensors")
+    print(command.out / "model.safetensors")
     return 0
 
 
 def _described(plan: "Plan", out: Path) -> Iterator[str]:
-    """What was found and chosen, in words."""
+    """Describe what was found in the data, and what was chosen for it, a line at a time."""
     config = plan.config
     for name, found in plan.surveys.items():
         height, width = found.sizes[0]
@@ -184,7 +176,8 @@ def _described(plan: "Plan", out: Path) -> Iterator[str]:
     )
     if plan.new_domains and plan.unseen_domains:
         yield (
-            f"There is no photo of {', '.join(plan.unseen_domains)} in the data: the router will learn to send all to "
-            f"{', '.join(plan.new_domains)}. Add some with another NAME=SOURCE, or say the domain when predicting."
+            f"There is no photo of {', '.join(plan.unseen_domains)} in the data: the router will learn to send all "
+            f"photos to {', '.join(plan.new_domains)}. Add photos of the others with another NAME=SOURCE, or name the "
+            "domain when predicting."
         )
     yield f"A picture of the data: {out / 'data.jpg'}"

@@ -1,4 +1,4 @@
-"""A model with room for more: further domains, larger ranges."""
+"""Give a model heads for further domains, and larger ranges of depth."""
 
 import math
 from collections.abc import Mapping
@@ -15,13 +15,13 @@ _ROUND = (1, 2, 3, 5, 8, 10)
 
 
 def extended_config(config: ModelConfig, far: Mapping[str, float]) -> ModelConfig:
-    """A config that has a head for each domain and reaches as far as its data.
+    """Return the config with a head for each domain of the data, reaching as far as the data does.
 
-    A model of a single domain takes all photos, whatever their domain is called: it keeps its one head.
+    A model with a single domain takes all photos, whatever their domain is called: it keeps its one head.
 
     Args:
-        config: of the model there is.
-        far: domain of the data → metres of its farthest depth.
+        config: the config of the model there is.
+        far: domain of the data → its farthest depth in metres.
     """
     domains = {domain.name: domain for domain in config.domains}
     for name, metres in far.items():
@@ -33,10 +33,11 @@ def extended_config(config: ModelConfig, far: Mapping[str, float]) -> ModelConfi
 
 
 def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
-    """A model of the extended config with the weights of the one there is.
+    """Return a model of the extended config that starts with the weights of ``model``.
 
-    A new domain starts as a copy of the head whose range is most like its own, and of that domain's row in the router's
-    last layer: of two equal scores the first wins, so nothing changes until training tells the two apart.
+    A new domain starts with a copy of the head whose range is most like its own, and of that domain's row in the
+    router's last layer. Of two equal scores the first wins, so the model predicts what it did before until training
+    tells the two domains apart.
     """
     new = ZoeDepth(config).eval()
     new.encoder.load_state_dict(model.encoder.state_dict())
@@ -52,7 +53,7 @@ def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
 
 
 def _most_like(domain: Domain, old: tuple[Domain, ...]) -> int:
-    """The index of the domain of the same name, or else of the nearest range."""
+    """Return the index of the domain with the same name, or else of the one with the nearest range."""
     names = [known.name for known in old]
     if domain.name in names:
         return names.index(domain.name)
@@ -61,7 +62,7 @@ def _most_like(domain: Domain, old: tuple[Domain, ...]) -> int:
 
 
 def _copy_router(old: nn.Module, new: nn.Module, origin: list[int]) -> None:
-    """Rows of the last layer, one a domain, from those they come from; everything else as it is."""
+    """Copy the weights. The last layer has a row for each domain: row i comes from row ``origin[i]`` of the old one."""
     weights = old.state_dict()
     with torch.no_grad():
         for name, parameter in new.named_parameters():
@@ -70,6 +71,6 @@ def _copy_router(old: nn.Module, new: nn.Module, origin: list[int]) -> None:
 
 
 def _round_up(metres: float) -> float:
-    """To 1, 2, 3, 5, 8 times a power of ten."""
+    """Round up to 1, 2, 3, 5 or 8 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(metres))
     return next(step * power for step in _ROUND if step * power >= metres * (1 - 1e-9))

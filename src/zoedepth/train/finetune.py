@@ -1,4 +1,4 @@
-"""Stage 2 on somebody's own data, in one call: a look at it, defaults that fit it, training, and what it brought."""
+"""Fine-tune a model on one's own data: look at the data, choose what fits it, train, and compare before and after."""
 
 import json
 from collections.abc import Mapping
@@ -10,14 +10,14 @@ from torch.utils.data import Subset
 
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.evaluation.evaluate import evaluate
+from zoedepth.evaluation.dataset_scores import score_dataset
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.images import atomic_path, write_image
 from zoedepth.metrics import Metrics
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
+from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
@@ -27,69 +27,68 @@ from zoedepth.weights.card import model_card
 from zoedepth.weights.load import load_model, save_model
 
 INITIAL = "initial.safetensors"
-"""The model training starts from, in the run's folder."""
+"""File, in the folder of a fine-tuning, of the model that training starts from."""
 
 ROUTER_RIGHT = 0.95
-"""Share of held-out photos that the router has to send to the head of their label, or else it is trained as well."""
+"""Share of the held-out photos that the router must send to the head of their label; below it the router is trained."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is going to be done, before it is."""
+    """A fine-tuning before it begins: what was found in the data, and what was chosen for it."""
 
     config: TrainConfig
+    """The configuration of the training."""
     data: dict[str, str]
+    """Name of a data set → where it is."""
     surveys: dict[str, Survey]
+    """Name of a data set → what was found in it."""
     init: str
+    """The model to start from, for ``load_model``."""
     new_domains: tuple[str, ...]
-    """Domains that the model gets a head for."""
+    """Domains that the model gets a new head for."""
     unseen_domains: tuple[str, ...]
-    """Domains of the model that the data has no example of."""
+    """Domains of the model that the data has no photo of."""
 
 
 def plan(
     data: Mapping[str, str],
+    options: FinetuneOptions,
     *,
-    init: str,
     out: Path,
-    domain: str | None = None,
-    depth_scale: float | None = None,
-    holdout: int | None = None,
-    steps: int | None = None,
-    batch_size: int | None = None,
-    learning_rate: float | None = None,
-    seed: int = 43,
 ) -> Plan:
-    """Look at the data, and choose what fits it; also writes ``out/data.jpg``, a picture of it.
+    """Look at the data, and choose what fits it. Writes ``out/data.jpg``, a picture of some of the data.
 
     Args:
-        data: NAME → SOURCE, whatever ``zoedepth.opening.open_dataset`` opens.
-        init: model to start from, for ``load_model``.
-        out: the run's folder.
-        domain: scene type of photos whose data says none.
-        depth_scale: stored value of one metre, where the data says none.
-        holdout: the last pairs of each set, kept for the comparison; None: every seventh of them, 1 to 50.
-        steps, batch_size, learning_rate: None: by the number of pairs and the kind of encoder.
-        seed: of everything that is drawn.
+        data: name of a data set → where it is, anything that ``zoedepth.opening.open_dataset`` opens.
+        options: the user's choices.
+        out: folder for the result.
 
     Raises:
-        InputError: the data cannot be read, or is not enough.
+        InputError: the data cannot be read, there are too few pairs, or the model cannot be fine-tuned.
     """
+    init = options.init
     surveys, samples, held_out = {}, [], []
     for name, source in data.items():
-        dataset = open_source(SourceConfig(name, domain=domain, depth_scale=depth_scale), source)
+        dataset = open_source(SourceConfig(name, domain=options.domain, depth_scale=options.depth_scale), source)
         surveys[name], some = survey(dataset, name=name)
         samples += some
-        held_out.append(holdout if holdout is not None else min(50, max(1, len(dataset) // 7)))
+        held_out.append(options.holdout if options.holdout is not None else min(50, max(1, len(dataset) // 7)))
         if len(dataset) - held_out[-1] < 1:
-            raise InputError(f"{source} has {len(dataset)} pairs: a holdout of {held_out[-1]} leaves none to train on")
+            raise InputError(
+                f"{source} has {len(dataset)} pairs: a holdout of {held_out[-1]} leaves none to train on. Add "
+                "pairs, or give a smaller --holdout"
+            )
     out.mkdir(parents=True, exist_ok=True)
     write_image(out / "data.jpg", data_sheet(samples[:8]))
     model = load_model(init)
     if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
-        raise InputError(f"{init} is a baseline: train one with its recipe (zoedepth train RECIPE --init)")
+        raise InputError(
+            f"{init} is a baseline, which cannot be fine-tuned this way: train it with its recipe (zoedepth train "
+            "RECIPE --init)"
+        )
     if not model.config.domains:
-        raise InputError(f"{init} gives relative depth only; train metric heads on it: zoedepth train RECIPE --init")
+        raise InputError(f"{init} gives relative depth only: train metric heads on it (zoedepth train RECIPE --init)")
     far: dict[str, float] = {}
     for found in surveys.values():
         for scene, metres in found.far.items():
@@ -97,24 +96,26 @@ def plan(
     config = extended_config(model.config, far)
     known, wanted = {d.name for d in model.config.domains}, {d.name for d in config.domains}
     n = sum(found.n for found in surveys.values()) - sum(held_out)
-    batch_size = batch_size or min(4, n)
+    batch_size = min(4, n) if options.batch_size is None else options.batch_size
+    steps = steps_for(n, max(1, batch_size)) if options.steps is None else options.steps
     chosen = TrainConfig(
         stage="metric",
         model=config,
         sources=tuple(
-            replace(_source(name, found), domain=domain, depth_scale=depth_scale) for name, found in surveys.items()
+            replace(_source(name, found), domain=options.domain, depth_scale=options.depth_scale)
+            for name, found in surveys.items()
         ),
-        steps=steps or _steps(n, batch_size),
+        steps=steps,
         batch_size=batch_size,
-        optim=_optim(config, learning_rate),
-        # With one known domain only there is nothing to tell apart, and its label alone would teach to say it always:
-        # left alone, unless the router is wrong about these photos (see finetune).
+        optim=_optim(config, options.learning_rate),
+        # Data of one known domain would teach the router to name that domain for every photo. So the router is not
+        # trained on it, unless it is wrong about these photos (see finetune).
         domain_weight=1.0 if len(config.domains) > 1 and (len(far) > 1 or wanted > known) else 0.0,
         ema_decay=0.99,
         holdout=min(held_out),
-        validate_every=max(1, (steps or _steps(n, batch_size)) // 5),
+        validate_every=max(1, steps // 5),
         checkpoint_every=100,
-        seed=seed,
+        seed=options.seed,
     )
     return Plan(
         chosen, dict(data), surveys, init, tuple(sorted(wanted - known)),
@@ -129,14 +130,22 @@ def finetune(
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> dict[str, tuple[Summary, Summary]]:
-    """Do it, or go on with it; returns what is measured on the held-out pairs of each set, before and after.
+    """Train as planned, or go on with an interrupted fine-tuning in ``out``.
 
-    ``out`` then holds ``model.safetensors``, its card ``README.md``, and ``metrics.json``; checkpoints and logs are in
-    ``out/run``.
+    Afterwards ``out`` holds ``model.safetensors``, its card ``README.md``, and ``metrics.json``; checkpoints and logs
+    are in ``out/run``.
+
+    Args:
+        plan: the plan.
+        out: folder for the result.
+        devices, n_nodes: see ``zoedepth.train.processes.launch_fabric``.
+
+    Returns:
+        Name of a data set → what was measured on its held-out pairs, before and after.
     """
     model = load_model(plan.init)
     start = out / INITIAL
-    assert isinstance(model, ZoeDepth)  # or there would be no plan
+    assert isinstance(model, ZoeDepth)  # there is no plan for other models
     assert isinstance(plan.config.model, ModelConfig)
     save_model(extended(model, plan.config.model), start)
     before = {name: _measure(str(start), name, plan, "before") for name in plan.data}
@@ -152,18 +161,18 @@ def finetune(
 
 
 def _source(name: str, found: Survey) -> SourceConfig:
-    """Windows of the photo at the scale the network sees photos at: the user's camera is the one to be learned."""
+    """Return a source that shows photos at the scale at which the network will see them: it is to learn this camera."""
     return SourceConfig(name, crop="fit", sparse=found.sparse, rotate_degrees=2.0, color_probability=0.8)
 
 
-def _steps(n: int, batch_size: int) -> int:
-    """Forty epochs of a few dozen pairs, five of ten thousands (the paper's number)."""
+def steps_for(n: int, batch_size: int) -> int:
+    """Return the number of steps: 40 epochs of a few dozen pairs, falling to the paper's 5 epochs of many thousands."""
     epochs = min(40.0, max(5.0, 40.0 * (30 / n) ** 0.4))
     return max(100, round(epochs * n / batch_size))
 
 
 def _optim(config: ModelConfig, learning_rate: float | None) -> OptimConfig:
-    """Convolutional encoders take larger rates than the paper's transformers."""
+    """Choose the rates: convolutional encoders take larger ones than the paper's transformers."""
     if config.encoder.family == "convolutional":
         return OptimConfig(
             learning_rate=learning_rate or 3e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0
@@ -172,17 +181,19 @@ def _optim(config: ModelConfig, learning_rate: float | None) -> OptimConfig:
 
 
 def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
+    """Score a model on the held-out pairs of a data set."""
     (source,) = (source for source in plan.config.sources if source.name == name)
     dataset = open_source(source, plan.data[name])
     n = len(dataset)
     held_out = Subset(dataset, range(n - plan.config.holdout, n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     with torch.no_grad():
-        results = evaluate(ModelSource(load_model(model)), held_out, protocols)
+        results = score_dataset(ModelSource(load_model(model)), held_out, protocols)
     return summarise(label, name, list(results.scores.values()), protocols, n_failed=len(results.failures))
 
 
 def _write(out: Path, plan: Plan, measured: Mapping[str, tuple[Summary, Summary]]) -> None:
+    """Write the model's card and the metrics."""
     metrics: dict[str, Metrics] = {}
     for name, (_, after) in measured.items():
         if after.metrics is not None:

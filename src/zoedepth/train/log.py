@@ -1,4 +1,4 @@
-"""What a run says of itself: console, JSONL and TensorBoard."""
+"""The log of a run: console, JSONL and TensorBoard. Nothing else in this package prints while it trains."""
 
 import json
 import math
@@ -17,7 +17,14 @@ console = Console(stderr=True)
 
 
 class Log:
-    """Written by the first process only."""
+    """The log of a run. Use it as a context, or close it.
+
+    Args:
+        folder: the run's folder, for ``log.jsonl``, ``tensorboard/`` and ``pictures/``.
+        config: the configuration of the run.
+        first_step: number of steps already taken; what an interrupted run has logged of later ones is dropped.
+        active: False for all processes but the first: they write nothing.
+    """
 
     def __init__(self, folder: Path, config: TrainConfig, *, first_step: int, active: bool) -> None:
         self.active = active
@@ -40,14 +47,25 @@ class Log:
         self._task = self._progress.add_task(config.stage, total=config.steps, completed=first_step, state="")
         self._progress.start()
 
+    def __enter__(self) -> "Log":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def say(self, text: str) -> None:
+        """Show a line on the console."""
+        if self.active:
+            self._progress.console.print(text, highlight=False, markup=False, soft_wrap=True)
+
     def write(self, step: int, values: Mapping[str, float], *, waited: float | None = None) -> None:
-        """Log named numbers of a step.
+        """Log numbers of a step.
 
         Args:
-            step: steps taken.
-            values: "train/silog", "rate/head" and the like.
-            waited: seconds since the last call with this argument that were spent waiting for data; None for numbers
-                that are not those of training.
+            step: number of steps taken.
+            values: name ("train/silog", "rate/head") → value.
+            waited: seconds spent waiting for data since the last call that gave this argument; the speed of training is
+                logged with it. None: these numbers come from a validation.
         """
         if not self.active:
             return
@@ -69,13 +87,13 @@ class Log:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Time that is not training, and in no rate."""
+        """Leave the time spent in this context out of the speed of training."""
         began = time.monotonic()
         yield
         self._since += time.monotonic() - began
 
     def picture(self, step: int, image: ImageArray) -> None:
-        """Keep a picture: in TensorBoard, and as ``pictures/step_000123.jpg``."""
+        """Write a picture to TensorBoard and to ``pictures/step_000123.jpg``."""
         if self.active:
             write_image(self._folder / "pictures" / f"step_{step:06d}.jpg", image)
             self._tensorboard.add_image("predictions", image, step, dataformats="HWC")
@@ -87,7 +105,7 @@ class Log:
             self._tensorboard.close()
 
     def _forget_after(self, step: int) -> None:
-        """A run resumed from an earlier step repeats the steps logged after it: drop them."""
+        """Drop the lines of later steps: a run resumed from an earlier checkpoint repeats them."""
         if self._jsonl.is_file():
             lines = self._jsonl.read_text(encoding="utf-8").splitlines()
             with atomic_path(self._jsonl) as part:
@@ -95,7 +113,7 @@ class Log:
 
 
 def _logged_step(line: str) -> float:
-    """The step of a line of the log; infinite for a line that a kill has cut off."""
+    """Return the step of a line of the log; infinity for a line that a kill has cut off."""
     try:
         return json.loads(line)["step"]
     except ValueError:

@@ -1,4 +1,4 @@
-"""Stage 2: the whole model on depth in metres (paper section 3.3)."""
+"""Stage 2: train the whole model on depth in metres (paper section 3.3)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,8 +10,10 @@ from zoedepth import losses
 from zoedepth.data.sample import Batch
 from zoedepth.model.zoedepth import DepthOutput
 from zoedepth.train.config import TrainConfig
-from zoedepth.train.loop import Run
-from zoedepth.train.processes import total
+from zoedepth.train.processes import launch_fabric, total
+from zoedepth.train.report import report
+from zoedepth.train.run import last_checkpoint, set_up
+from zoedepth.train.step import add_means, backward, begin_step, take_step
 
 
 def train_metric(
@@ -23,22 +25,53 @@ def train_metric(
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
-    """Train, or go on with what is in ``out``; returns the last checkpoint. For the arguments see ``Run``."""
-    with Run(config, part=lambda model: model, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
-        for batch in run.batches():
-            output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
-            terms = metric_losses(output, batch, config)
-            run.learn(
-                torch.stack(list(terms.values())).sum(), batch, {name: term.item() for name, term in terms.items()}
-            )
-        return run.last_checkpoint
+    """Train the whole model, or go on with the run that is in ``out``.
+
+    Args:
+        config: the configuration, most often a recipe's; its stage is "metric".
+        data: name of a source of the configuration → where its data is (``zoedepth.opening.open_dataset``).
+        out: folder of the run: checkpoints, log, pictures.
+        init: starting weights, see ``zoedepth.train.start.start_from``; not read when resuming.
+        devices, n_nodes: processes on each machine, and machines; see ``zoedepth.train.processes.launch_fabric``.
+
+    Returns:
+        The folder of the last checkpoint, which ``zoedepth.load_model`` takes.
+
+    Raises:
+        InputError: data, starting weights or checkpoint do not suit the configuration.
+        TrainingError: loss or gradients are not finite; the error names the images.
+        KeyboardInterrupt: Ctrl-C or SIGTERM came; the step was finished and is saved.
+    """
+    fabric = launch_fabric(config, devices=devices, n_nodes=n_nodes)
+    with set_up(config, fabric, part=lambda model: model, data=data, out=out, init=init) as run:
+        while run.state.step < config.steps:
+            begin_step(run)
+            numbers: dict[str, float] = {}
+            names: list[str] = []
+            for i in range(config.accumulate):
+                batch = next(run.batches)
+                # Forward.
+                output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
+                # Loss.
+                terms = metric_losses(output, batch, config)
+                loss = torch.stack(list(terms.values())).sum()
+                # Backward.
+                backward(run, loss, batch, complete=i == config.accumulate - 1)
+                add_means(numbers, terms, config.accumulate)
+                names += batch.names
+            # Step.
+            numbers["gradient_norm"] = take_step(run, names)
+            # Report.
+            report(run, numbers, batch)
+        return last_checkpoint(run)
 
 
 def metric_losses(output: DepthOutput, batch: Batch, config: TrainConfig) -> dict[str, Tensor]:
-    """The terms of the loss, all of them those of the batch of all processes.
+    """Return the terms of the loss by name, weighted, each computed over the batch of all processes.
 
-    SILog of the depth, or the ordinal loss where the head gives ordinal logits; the chamfer distance to the true depths
-    where the head gives bins to compare; cross-entropy against the domain labels where the router has scores.
+    These are: SILog of the depth, or the ordinal loss where the head gives ordinal logits; the chamfer distance to the
+    true depths where the head gives bins to compare; cross-entropy against the domain labels where the router has
+    scores.
     """
     supervision = output.supervision
     if supervision.ordinal is not None:

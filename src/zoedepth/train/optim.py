@@ -1,4 +1,4 @@
-"""Rates: parameter groups and the one-cycle schedule, as a pure function of the step."""
+"""The optimizer: its groups of parameters, and their rates as pure functions of the step."""
 
 import math
 from fnmatch import fnmatch
@@ -11,11 +11,11 @@ from zoedepth.train.config import OptimConfig
 
 
 def build_optimizer(model: nn.Module, config: OptimConfig) -> Optimizer:
-    """The optimizer, with a group each for encoder, position tables, decoder, and everything else (heads, router).
+    """Build the optimizer, with one group each for encoder, position tables, decoder, and heads with router.
 
-    A group's rate is ``config.learning_rate`` times its factor, kept as ``factor`` in the group; a group of factor 0 is
-    frozen, and so are the parameters that ``config.frozen`` names. The reassembling part of the decoder goes with the
-    encoder, as released.
+    A group's rate is ``config.learning_rate`` times its factor, which the group keeps as ``factor``. A group whose
+    factor is 0 is frozen, and so are the parameters that ``config.frozen`` names. The reassembling part of the decoder
+    belongs to the encoder's group, as released.
     """
     factors = {
         "encoder": config.encoder_factor,
@@ -56,7 +56,7 @@ def _group(name: str) -> str:
 
 
 def one_cycle(step: int, steps: int, config: OptimConfig) -> tuple[float, float]:
-    """(rate as a factor of the highest, first beta) at a step: torch's ``OneCycleLR`` with cosine annealing."""
+    """Return (rate as a factor of the highest, first beta) at a step: torch's ``OneCycleLR`` with cosine annealing."""
     first, last = 1 / config.initial_division, 1 / (config.initial_division * config.final_division)
     low, high = config.momentum
     peak = config.warmup * steps - 1
@@ -68,7 +68,7 @@ def one_cycle(step: int, steps: int, config: OptimConfig) -> tuple[float, float]
 
 
 def set_rates(optimizer: torch.optim.Optimizer, step: int, steps: int, config: OptimConfig) -> None:
-    """Give every group its rate and momentum of this step."""
+    """Give every group its rate and momentum for this step."""
     if config.schedule == "one-cycle":
         factor, beta = one_cycle(step, steps, config)
     else:
@@ -82,11 +82,11 @@ def set_rates(optimizer: torch.optim.Optimizer, step: int, steps: int, config: O
 
 
 def polynomial(step: int, steps: int, config: OptimConfig) -> float:
-    """The rate at a step, as a factor of the highest: from 1 to ``1 / final_division`` (BTS ``bts_main.py``)."""
+    """Return the rate as a factor of the highest: it falls from 1 to ``1 / final_division`` (BTS ``bts_main.py``)."""
     last = 1 / config.final_division
     return last + (1 - last) * (1 - step / steps) ** 0.9
 
 
 def _anneal(start: float, end: float, progress: float) -> float:
-    """From start to end along half a cosine."""
+    """Go from start to end along half a cosine; progress is 0 to 1."""
     return end + (start - end) / 2 * (1 + math.cos(math.pi * progress))

@@ -1,4 +1,4 @@
-"""The processes of a run: one, several on this machine, or those that torchrun has started on many."""
+"""The processes of a training: one, several on this machine, or those that torchrun started on many machines."""
 
 import os
 from collections.abc import Iterator
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 
 def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> "Fabric":
-    """Fabric on this machine's accelerator or CPU; several processes train by DDP.
+    """Start the processes, and return Fabric on this machine's accelerator or CPU. Several processes train by DDP.
 
     Args:
-        config: its precision.
+        config: the configuration of the training; its precision is used.
         devices: processes on each machine; None: as many as torchrun has started here, or one.
-        n_nodes: machines; torchrun's number goes before it.
+        n_nodes: number of machines; under torchrun its number is used instead.
 
     Raises:
         InputError: torchrun has started another number of processes than ``devices``.
@@ -36,10 +36,12 @@ def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> 
     started, here = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
     if "TORCHELASTIC_RUN_ID" in os.environ:
         if devices not in (None, here):
-            raise InputError(f"torchrun has started {here} processes here, --devices says {devices}: leave it out")
+            raise InputError(
+                f"torchrun has started {here} processes here, but --devices says {devices}: leave --devices out"
+            )
         devices, n_nodes = here, started // here
     devices = devices or 1
-    # A batch may use some heads only, so some parameters may get no gradient.
+    # A batch may not need all heads; the parameters of the others then get no gradient.
     several = devices * n_nodes > 1
     strategy = DDPStrategy(find_unused_parameters=True) if several else "auto"
     fabric = Fabric(
@@ -50,9 +52,9 @@ def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> 
 
 
 def resolve(precision: Precision) -> Literal["bf16-mixed", "16-mixed", "32-true"]:
-    """The precision that "auto" stands for on this machine.
+    """Return the precision that "auto" stands for on this machine; any other value as it is.
 
-    A CPU that computes bfloat16 by way of float32 takes ten times as long for a convolution (AVX2: docs/log.md).
+    A CPU without bfloat16 takes ten times as long for a convolution in it as in float32 (AVX2: docs/log.md).
     """
     if precision != "auto":
         return precision
@@ -64,10 +66,10 @@ def resolve(precision: Precision) -> Literal["bf16-mixed", "16-mixed", "32-true"
 
 
 def total(x: Tensor) -> Tensor:
-    """The sum of a tensor over all processes, the same on each; gradients flow back.
+    """Return the sum of a tensor over all processes, the same on each; gradients flow back.
 
-    DDP averages the gradients of the processes. A loss made of such sums is the same everywhere, and the average of its
-    gradients is what one process with the whole batch would have got.
+    DDP averages the gradients of the processes. A loss made of such sums is the same on every process, and the average
+    of its gradients is the gradient that one process with the whole batch would get.
     """
     function: Any = _Total  # torch does not say what its apply returns
     return function.apply(x) if several_processes() else x
@@ -75,10 +77,10 @@ def total(x: Tensor) -> Tensor:
 
 @contextmanager
 def raw_gradients() -> Iterator[None]:
-    """Inside, ``torch.autograd.grad`` may go through a network that Fabric has set up for mixed precision.
+    """Allow ``torch.autograd.grad`` inside this context on a network that Fabric has set up for mixed precision.
 
-    Fabric refuses every backward pass that is not ``fabric.backward``, so that float16's scaling of the loss is not
-    forgotten, and has no public way to say that gradients of a part, not scaled, are what is wanted.
+    Fabric refuses every backward pass that is not ``fabric.backward``, so that nobody forgets float16's scaling of the
+    loss. It has no public way to ask for unscaled gradients of a part of the network.
     """
     from lightning_fabric import wrappers
 
@@ -91,7 +93,7 @@ def raw_gradients() -> Iterator[None]:
 
 
 def several_processes() -> bool:
-    """Whether this process is one of several."""
+    """Return True if this process is one of several."""
     return distributed.is_available() and distributed.is_initialized() and distributed.get_world_size() > 1
 
 
@@ -104,5 +106,5 @@ class _Total(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        # Each process' loss has this term in it, and all the losses are one and the same.
+        # The losses of all processes are the same one, and each contains this term.
         return gradients[0] * distributed.get_world_size()

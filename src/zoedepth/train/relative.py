@@ -1,4 +1,4 @@
-"""Stage 1: encoder and decoder on relative depth, with a loss that knows no scale and shift (paper section 3.1)."""
+"""Stage 1: train encoder and decoder on relative depth, by a loss that ignores scale and shift (paper section 3.1)."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,21 +15,23 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth, normalize
 from zoedepth.pareto import min_norm_weights, normalized
 from zoedepth.train.config import TrainConfig
-from zoedepth.train.loop import Run
-from zoedepth.train.processes import raw_gradients, several_processes, total
+from zoedepth.train.processes import launch_fabric, raw_gradients, several_processes, total
+from zoedepth.train.report import report
+from zoedepth.train.run import Run, last_checkpoint, set_up
+from zoedepth.train.step import add_means, backward, begin_step, take_step
 
 
 class RelativeModel(nn.Module):
-    """The part of the model that stage 1 trains; parameters have the names they have in the model."""
+    """The part of the model that stage 1 trains. Its parameters have the names that they have in the model."""
 
     def __init__(self, model: DepthModel) -> None:
         super().__init__()
-        assert isinstance(model, ZoeDepth)  # TrainConfig refuses others
+        assert isinstance(model, ZoeDepth)  # TrainConfig refuses baselines in stage 1
         self.encoder = model.encoder
         self.decoder = model.decoder
 
     def forward(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
-        """Relative depth at network resolution."""
+        """Return relative depth at the resolution of the pixels."""
         return upsample(self.decoder(self.encoder(normalize(pixels))).relative, pixels.shape[-2:])
 
 
@@ -42,41 +44,50 @@ def train_relative(
     devices: int | None = None,
     n_nodes: int = 1,
 ) -> Path:
-    """Train, or go on with what is in ``out``; returns the last checkpoint, with which stage 2 can start.
+    """Train encoder and decoder on depth and disparity, or go on with the run that is in ``out``.
 
-    Data of depth and of disparity are both welcome. For the arguments see ``Run``.
+    Args:
+        config: the configuration, most often a recipe's; its stage is "relative".
+        data, out, init, devices, n_nodes: see ``zoedepth.train.metric.train_metric``.
+
+    Returns:
+        The folder of the last checkpoint, with which stage 2 can start.
+
+    Raises:
+        InputError, TrainingError, KeyboardInterrupt: see ``zoedepth.train.metric.train_metric``.
     """
-    with Run(config, part=RelativeModel, data=data, out=out, init=init, devices=devices, n_nodes=n_nodes) as run:
-        state = run.state
-        for batch in run.batches():
-            relative = run.network(batch.pixels)
-            tasks, n_images = task_losses(relative, batch, run)
-            present = n_images > 0
-            if config.task_weights == "images":
-                weights = n_images / n_images.sum().clamp(min=1)
-            elif not present.any():
-                weights = torch.zeros_like(n_images)
-            else:
-                solved = state.task_weights
-                if solved is None or run.is_turn(config.pareto_every) or not _covers(solved, present):
-                    solved = state.task_weights = pareto_weights(tasks, present, config, run)
-                weights = solved.nan_to_num() * present
-                weights = weights / weights.sum()
-            loss = (weights * tasks).sum()
-            shown = (
-                {source.name: i for i, source in enumerate(run.sources) if present[i]} if len(run.sources) > 1 else {}
-            )
-            numbers = {"ssi": float((tasks.detach() * n_images).sum() / n_images.sum().clamp(min=1))}
-            numbers |= {f"ssi/{name}": tasks[i].item() for name, i in shown.items()}
-            numbers |= {f"weight/{name}": weights[i].item() for name, i in shown.items()}
-            run.learn(loss, batch, numbers)
-        return run.last_checkpoint
+    fabric = launch_fabric(config, devices=devices, n_nodes=n_nodes)
+    with set_up(config, fabric, part=RelativeModel, data=data, out=out, init=init) as run:
+        while run.state.step < config.steps:
+            begin_step(run)
+            numbers: dict[str, float] = {}
+            names: list[str] = []
+            for i in range(config.accumulate):
+                batch = next(run.batches)
+                # Forward.
+                relative = run.network(batch.pixels)
+                # Loss.
+                tasks, n_images = task_losses(relative, batch, run)
+                weights = task_weights(tasks, n_images, run)
+                loss = (weights * tasks).sum()
+                # Backward.
+                backward(run, loss, batch, complete=i == config.accumulate - 1)
+                add_means(numbers, _numbers(tasks, n_images, weights, run), config.accumulate)
+                names += batch.names
+            # Step.
+            numbers["gradient_norm"] = take_step(run, names)
+            # Report.
+            report(run, numbers, batch)
+        return last_checkpoint(run)
 
 
 def task_losses(
     relative: Float[Tensor, "batch 1 height width"], batch: Batch, run: Run
 ) -> tuple[Float[Tensor, " tasks"], Float[Tensor, " tasks"]]:
-    """The mean loss of each data set's images, of all processes, and how many these are; 0 where there are none."""
+    """Return the mean loss over each data set's images, and the number of these images, of all processes.
+
+    Images without known depth do not count. A data set without images has the loss 0 and the number 0.
+    """
     config = run.config
     with_term = torch.tensor([float(source.gradient_term) for source in run.sources], device=relative.device)
     images, counted = losses.scale_and_shift_invariant(
@@ -91,11 +102,31 @@ def task_losses(
     return total((images[:, None] * member).sum(0)) / n_images.clamp(min=1), n_images
 
 
-def pareto_weights(
-    tasks: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"], config: TrainConfig, run: Run
+def task_weights(
+    tasks: Float[Tensor, " tasks"], n_images: Float[Tensor, " tasks"], run: Run
 ) -> Float[Tensor, " tasks"]:
-    """The weights of the multi-objective step for the data sets of this batch; NaN for the others."""
-    model = run.state.model
+    """Return the weight of each data set's loss; they add up to 1 unless no image of the batch counts.
+
+    With ``task_weights="pareto"`` the multi-objective step solves for them every ``pareto_every`` steps, and in between
+    if the last solution does not cover the data sets of this batch. ``run.state`` keeps the last solution.
+    """
+    config, state, present = run.config, run.state, n_images > 0
+    if config.task_weights == "images":
+        return n_images / n_images.sum().clamp(min=1)
+    if not present.any():
+        return torch.zeros_like(n_images)
+    solved = state.task_weights
+    if solved is None or state.step % config.pareto_every == 0 or not _covers(solved, present):
+        solved = state.task_weights = pareto_weights(tasks, present, run)
+    weights = solved.nan_to_num() * present
+    return weights / weights.sum()
+
+
+def pareto_weights(
+    tasks: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"], run: Run
+) -> Float[Tensor, " tasks"]:
+    """Solve the multi-objective step for the data sets that are present in this batch; the others get NaN."""
+    config, model = run.config, run.state.model
     part = model.decoder if config.pareto_parameters == "decoder" and isinstance(model, ZoeDepth) else run.network
     parameters = [parameter for parameter in part.parameters() if parameter.requires_grad]
     rows = []
@@ -114,5 +145,17 @@ def pareto_weights(
 
 
 def _covers(weights: Float[Tensor, " tasks"], present: Bool[Tensor, " tasks"]) -> bool:
-    """Whether these weights say something of every data set of a batch, and not that all of them are worth nothing."""
-    return bool(weights[present].sum() > 0)  # NaN is not
+    """Return True if there is a weight for every data set present, and not all of these weights are 0."""
+    return bool(weights[present].sum() > 0)  # a sum with a NaN in it is not
+
+
+def _numbers(
+    tasks: Float[Tensor, " tasks"], n_images: Float[Tensor, " tasks"], weights: Float[Tensor, " tasks"], run: Run
+) -> dict[str, float]:
+    """Return what the log says of a batch: the mean loss of its images; with several data sets also each one's."""
+    numbers = {"ssi": float((tasks.detach() * n_images).sum() / n_images.sum().clamp(min=1))}
+    if len(run.sources) > 1:
+        shown = {source.name: i for i, source in enumerate(run.sources) if n_images[i] > 0}
+        numbers |= {f"ssi/{name}": tasks[i].item() for name, i in shown.items()}
+        numbers |= {f"weight/{name}": weights[i].item() for name, i in shown.items()}
+    return numbers

@@ -1,4 +1,4 @@
-"""The data of a run: which sets, what is held out, and how their samples are augmented."""
+"""The data of a training: which data sets, which pairs are held out, and how samples are augmented."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -16,33 +16,47 @@ from zoedepth.train.config import SourceConfig, TrainConfig
 
 
 class _Mapped(Dataset[Sample], DepthDataset):
-    """What ``Subset`` takes: torch's class has no more than the protocol."""
+    """A data set for the type checker: torch's ``Subset`` asks for torch's class, and we for our protocol."""
 
 
 def load_sources(
     config: TrainConfig, data: Mapping[str, str | Path]
 ) -> tuple[list[tuple[SourceConfig, "Subset[Sample]"]], dict[str, "Subset[Sample]"]]:
-    """(what to train on with its config, what to validate on by name), from ``--data NAME=SOURCE``.
+    """Open the data, and hold out the last pairs of each data set.
+
+    Args:
+        config: the configuration of the training.
+        data: name of one of its sources → where the data is.
+
+    Returns:
+        A list of (config of a source, samples to train on), in the order of the config, and a dict of name → samples to
+        validate on.
 
     Raises:
-        InputError: a name is not one of the recipe's sources, or the data does not suit the stage.
+        InputError: a name is not one of the config's sources, or the data does not suit the stage.
     """
     known = {source.name: source for source in config.sources}
     if unknown := sorted(set(data) - set(known)):
-        raise InputError(f"unknown data {unknown}: this recipe has the sources {sorted(known)}")
+        raise InputError(f"the recipe has no source {unknown}: --data can name {sorted(known)}")
     if not data:
-        raise InputError(f"no data: give --data NAME=SOURCE for one or more of {sorted(known)}")
+        raise InputError(f"there is no data to train on: give --data NAME=SOURCE for one or more of {sorted(known)}")
     training, validation = [], {}
-    for name in (source.name for source in config.sources if source.name in data):  # not the order of the command line
+    # The order of the config: that of the command line does not count.
+    for name in (source.name for source in config.sources if source.name in data):
         dataset = open_source(known[name], data[name])
         if config.stage == "metric" and "disparity" in dataset.kinds:
-            raise InputError(f"{data[name]} has disparity; stage 2 needs depth in metres")
+            raise InputError(f"{data[name]} has disparity; stage 2 needs depth in metres. Use it in stage 1")
         domains = {domain.name for domain in config.model.domains}
         if config.stage == "metric" and len(domains) > 1 and (others := set(dataset.domains) - domains):
-            raise InputError(f"{data[name]} has the domains {sorted(others)}, the model {sorted(domains)}")
+            raise InputError(
+                f"{data[name]} has photos of {sorted(others)}, but the model has heads for {sorted(domains)} only: "
+                "rename the domains of the data, or add a head"
+            )
         n_training = len(dataset) - config.holdout
         if n_training < 1:
-            raise InputError(f"{data[name]} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none")
+            raise InputError(
+                f"{data[name]} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none to train on"
+            )
         training.append((known[name], Subset(dataset, range(n_training))))
         if config.holdout:
             validation[name] = Subset(dataset, range(n_training, len(dataset)))
@@ -50,13 +64,13 @@ def load_sources(
 
 
 def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
-    """The training split of a source's data."""
+    """Open the training split of a source's data."""
     found = open_dataset(data, name=source.name, split="train", domain=source.domain, depth_scale=source.depth_scale)
     return cast(_Mapped, found)
 
 
 def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
-    """The augmentations of a source, in order."""
+    """Return the augmentations of a source's samples, in order."""
     domains = config.model.domains
     steps = [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
@@ -83,7 +97,7 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
         )
     )
     if config.stage == "relative":
-        # However far: in disparity the farthest is 0, and the sky is a teacher too.
+        # No limit on the depth: infinitely far is disparity 0, so the sky teaches too.
         steps.append(augment.to_disparity())
     else:
         ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
@@ -92,6 +106,6 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
 
 
 def _limit_by_domain(sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]) -> Sample:
-    """Depth outside the range of the sample's domain counts as unknown."""
+    """Mark depth outside the range of the sample's domain as unknown."""
     low, high = ranges.get(sample.domain) or next(iter(ranges.values()))
     return augment.limit_depth(low, high)(sample, rng)

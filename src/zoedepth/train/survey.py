@@ -1,4 +1,4 @@
-"""A look at somebody's data before a model is trained on it: what is in it, and what that asks of the training."""
+"""Look at data before a model is trained on it: how much there is, how large, how far, how dense."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -10,36 +10,43 @@ from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 
 MOST = 200
-"""Pairs that are looked at, evenly spread, of what may be millions."""
+"""Largest number of pairs that are looked at, evenly spread over the data set."""
 
 
 @dataclass(frozen=True)
 class Survey:
-    """What is known of a data set after a look at some of its pairs."""
+    """Findings about a data set, from a look at some of its pairs."""
 
     n: int
-    """Pairs in all."""
+    """Number of pairs in the data set."""
     n_seen: int
-    """Pairs looked at."""
+    """Number of pairs looked at."""
     sizes: tuple[tuple[int, int], ...]
-    """(height, width) of the photos that occur, the most frequent first."""
+    """Sizes (height, width) of the photos, the most frequent first."""
     known: float
     """Median share of pixels whose depth is known."""
     near: dict[str, float]
-    """By domain: metres that 0.5 % of the known pixels are nearer than."""
+    """Domain → depth in metres that 0.5 % of the known pixels are nearer than."""
     far: dict[str, float]
-    """By domain: metres that 0.5 % of the known pixels are farther than."""
+    """Domain → depth in metres that 0.5 % of the known pixels are farther than."""
     count: dict[str, int]
-    """By domain: pairs among those looked at."""
+    """Domain → number of pairs among those looked at."""
 
     @property
     def sparse(self) -> bool:
-        """Whether depth is known at scattered points only."""
+        """True if depth is known at scattered points only."""
         return self.known < SPARSE
 
 
 def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
-    """Look at evenly spread pairs; also up to six of them, to show.
+    """Look at evenly spread pairs of a data set.
+
+    Args:
+        data: the data set.
+        name: its name, for errors.
+
+    Returns:
+        The findings, and up to six samples to show.
 
     Raises:
         InputError: a pair cannot be read, its depth is disparity, or no depth is known at all.
@@ -52,7 +59,7 @@ def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
     for place in places:
         sample = data[place]
         if sample.kind != "depth":
-            raise InputError(f"{name} has disparity ({sample.name}); metres cannot be learned from it")
+            raise InputError(f"{name} has disparity ({sample.name}): fine-tuning needs depth in metres")
         sizes[(sample.image.shape[1], sample.image.shape[2])] += 1
         count[sample.domain] += 1
         known.append(float(sample.mask.float().mean()))
@@ -62,7 +69,7 @@ def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
             samples.append(sample)
     depths = {domain: np.concatenate(found) for domain, found in values.items()}
     if empty := sorted(domain for domain, depth in depths.items() if not len(depth)):
-        raise InputError(f"{name}: no depth is known in any of {len(places)} photos of {empty}")
+        raise InputError(f"{name}: no depth is known in any of {len(places)} photos of {empty}. Check the files")
     found = Survey(
         n=len(data),
         n_seen=len(places),

@@ -1,0 +1,43 @@
+"""Ctrl-C and SIGTERM while training: the step at hand is finished first."""
+
+import signal
+import threading
+from typing import TYPE_CHECKING
+
+import torch
+
+from zoedepth.train.processes import several_processes, total
+
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
+
+
+class Interruption:
+    """A note that this process was asked to end. Use it as a context; afterwards signals do what they did before.
+
+    A second signal of the same kind ends the process at once. Threads other than the main one get no signals.
+    """
+
+    def __init__(self) -> None:
+        self._noted = False
+        self._handlers = {}
+
+    def __enter__(self) -> "Interruption":
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, self._note)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
+
+    def asked(self, fabric: "Fabric") -> bool:
+        """Return True if any process was asked to end: all of them have to stop after the same step."""
+        if not several_processes():
+            return self._noted
+        return bool(total(torch.tensor(float(self._noted), device=fabric.device)) > 0)
+
+    def _note(self, number: int, _: object) -> None:
+        self._noted = True
+        signal.signal(number, self._handlers[number])

@@ -1,0 +1,54 @@
+"""What happens after a step: log, validation, pictures, checkpoint, and the end if somebody asked for it."""
+
+from collections.abc import Mapping
+
+from zoedepth.data.sample import Batch, Sample
+from zoedepth.train.pictures import predictions_sheet
+from zoedepth.train.run import Run
+from zoedepth.train.validate import validate
+
+
+def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
+    """Log, validate, draw and write a checkpoint, each when its step has come.
+
+    Args:
+        run: the run; its step has been taken.
+        numbers: name → value of the parts of the loss and the like, logged as ``train/{name}``.
+        batch: the last batch of the step, for the pictures where nothing is held out.
+
+    Raises:
+        KeyboardInterrupt: the run was asked to end; the checkpoint of this step is written.
+    """
+    config, step = run.config, run.state.step
+    last = step == config.steps
+    interrupted = run.interruption.asked(run.fabric)
+    if run.fabric.is_global_zero:
+        if step % config.log_every == 0 or last:
+            rates = {f"rate/{group['name']}": group["lr"] for group in run.optimizer.param_groups}
+            train = {f"train/{name}": float(value) for name, value in numbers.items()}
+            run.log.write(step, {**train, **rates}, waited=run.batches.take_waited())
+        with run.log.paused():
+            if step % config.validate_every == 0 or last:
+                _validate_and_draw(run, batch)
+            if step % config.checkpoint_every == 0 or last or interrupted:
+                run.state.save(run.out, config, run.identity)
+    if interrupted and not last:
+        run.fabric.barrier()
+        raise KeyboardInterrupt(f"step {step} is saved; the same command goes on from there")
+
+
+def _validate_and_draw(run: Run, batch: Batch) -> None:
+    model, stage, step = run.state.result, run.config.stage, run.state.step
+    if run.validation:
+        run.log.write(step, validate(model, run.validation, stage=stage))
+    if run.config.pictures:
+        run.log.picture(step, predictions_sheet(model, _shown(run, batch), stage=stage))
+
+
+def _shown(run: Run, batch: Batch) -> list[Sample]:
+    """Return the samples to draw: held-out ones of every data set, or else those of the batch."""
+    n = run.config.pictures
+    held_out = [subset[i] for subset in run.validation.values() for i in range(min(len(subset), n))]
+    if held_out:
+        return held_out[:: max(1, len(held_out) // n)][:n]
+    return batch.samples([domain.name for domain in run.config.model.domains])[:n]

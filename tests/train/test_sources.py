@@ -1,0 +1,153 @@
+"""The data of a training: which data sets, which pairs are held out, and how samples are augmented."""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tests.folders import write_pairs
+
+from zoedepth.data.augment import augment
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Sample
+from zoedepth.errors import InputError
+from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.sources import augmentations, load_sources
+
+MakeConfig = Callable[..., TrainConfig]
+Data = dict[str, Path]
+
+
+# ---------------------------------------------------------------------------------------------------- data
+
+
+def test_data_finds_its_source_by_name(make_config: MakeConfig, data: Data) -> None:
+    training, validation = load_sources(make_config(), data)
+    assert [(source.name, len(subset)) for source, subset in training] == [("indoor", 4), ("outdoor", 2)]
+    assert validation == {}
+
+
+def test_last_pairs_are_held_out(make_config: MakeConfig, data: Data) -> None:
+    training, validation = load_sources(make_config(holdout=1), data)
+    assert [len(subset) for _, subset in training] == [3, 1]
+    assert [sample.name for sample in validation["indoor"]] == [str(Path("image/train_003.jpg"))]
+    assert [sample.name for sample in validation["outdoor"]] == [str(Path("image/train_001.jpg"))]
+
+
+def test_sources_are_in_the_order_of_the_config(make_config: MakeConfig, data: Data) -> None:
+    training, _ = load_sources(make_config(), dict(reversed(data.items())))
+    assert [source.name for source, _ in training] == ["indoor", "outdoor"]
+
+
+def test_disparity_is_held_out_too(make_config: MakeConfig, stills: Path) -> None:
+    training, validation = load_sources(make_config("relative", holdout=1), {"relative": stills})
+    assert [len(subset) for _, subset in training] == [2]
+    assert [sample.name for sample in validation["relative"]] == [str(Path("image/still_002.jpg"))]
+
+
+def test_unsuitable_data_is_an_error_that_says_why(
+    make_config: MakeConfig, data: Data, stills: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=r"nyu.*indoor.*outdoor"):
+        load_sources(make_config(), {"nyu": data["indoor"]})
+    with pytest.raises(InputError, match="there is no data to train on"):
+        load_sources(make_config(), {})
+    with pytest.raises(InputError, match=r"stills.*disparity"):
+        load_sources(make_config(), {"relative": stills})
+    with pytest.raises(InputError, match="holdout of 2 leaves none"):
+        load_sources(make_config(holdout=2), data)
+    attic = write_pairs(tmp_path, n=1)
+    attic.write_text(attic.read_text().replace(",indoor", ",attic"))
+    with pytest.raises(InputError, match=r"photos of \['attic'\], but the model has heads for \['indoor', 'outdoor'\]"):
+        load_sources(make_config(), {"indoor": attic})
+    # A model of one domain, and stage 1, take any.
+    one = make_config(model=dataclasses.replace(make_config().model, domains=make_config().model.domains[:1]))
+    load_sources(one, {"indoor": attic})
+    load_sources(make_config("relative"), {"indoor": attic})
+
+
+def test_data_set_read_by_a_run_is_that_of_its_train_list(make_config: MakeConfig, data: Data) -> None:
+    folder = data["indoor"].parent
+    training, _ = load_sources(make_config(), {"indoor": folder})
+    assert len(training[0][1]) == len(PairDataset(folder / "train.csv"))
+
+
+# ---------------------------------------------------------------------------------------------------- augmentation
+
+PLAIN = SourceConfig("indoor", rotate_degrees=0.0, color_probability=0.0)
+
+
+def outdoor_sample(size: tuple[int, int] = (375, 1242)) -> Sample:
+    """Depth grows with the columns, 1 to 100 m."""
+    target = torch.linspace(1, 100, size[1]).expand(1, *size).clone()
+    return Sample(torch.full((3, *size), 0.5), target, target > 0, "depth", "outdoor", "")
+
+
+@pytest.mark.parametrize("stage", ["relative", "metric"])
+@pytest.mark.parametrize("crop", ["fit", "squeeze"])
+def test_samples_come_at_the_models_size(make_config: MakeConfig, crop: str, stage: str) -> None:
+    source = dataclasses.replace(PLAIN, crop=crop, max_zoom=2.0, kitti_crop=True)
+    result = augment(outdoor_sample(), augmentations(source, make_config(stage)), np.random.default_rng(0))
+    assert result.image.shape == (3, 64, 64)
+    assert result.kind == ("disparity" if stage == "relative" else "depth")
+
+
+def test_depth_beyond_the_range_of_its_domain_is_unknown(make_config: MakeConfig) -> None:
+    result = augment(outdoor_sample(), augmentations(PLAIN, make_config()), np.random.default_rng(0))
+    assert 75 < result.target[result.mask].max() < 80
+    indoor = dataclasses.replace(outdoor_sample(), domain="indoor")
+    result = augment(indoor, augmentations(PLAIN, make_config()), np.random.default_rng(0))
+    assert 8 < result.target[result.mask].max() < 10
+
+
+def test_kitti_crop_leaves_the_top_and_the_sides_out(make_config: MakeConfig) -> None:
+    sample = outdoor_sample()
+    whole = augment(sample, augmentations(PLAIN, make_config()), np.random.default_rng(0))
+    cropped = augment(
+        sample, augmentations(dataclasses.replace(PLAIN, kitti_crop=True), make_config()), np.random.default_rng(0)
+    )
+    # 13 of 1242 columns at the left: 13 / 1241 * 99 m more than 1 m, and half a column of the small picture.
+    assert whole.target.min() == pytest.approx(1 + 99 / 64 / 2, abs=0.2)
+    assert cropped.target.min() == pytest.approx(1 + 13 / 1241 * 99 + 97 / 64 / 2, abs=0.2)
+
+
+def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -> None:
+    changes: dict[str, object] = {
+        "crop": "fit",
+        "kitti_crop": True,
+        "rotate_degrees": 10.0,
+        "color_probability": 1.0,
+    }
+    with_colors: dict[str, object] = {
+        "gamma": (2.0, 2.0),
+        "brightness": (0.5, 0.5),
+        "channel_gain": (0.5, 0.5),
+        "saturation": (0.0, 0.0),
+    }
+    with_fit: dict[str, object] = {"max_zoom": 3.0}
+    with_zoom: dict[str, object] = {"zoom_probability": 0.0}
+    cases = [
+        (PLAIN, changes),
+        (dataclasses.replace(PLAIN, color_probability=1.0), with_colors),
+        (dataclasses.replace(PLAIN, crop="fit"), with_fit),
+        (dataclasses.replace(PLAIN, crop="fit", max_zoom=3.0), with_zoom),
+        (dataclasses.replace(PLAIN, crop="window"), {"window": (32, 96)}),
+    ]
+    tested = {name for _, values in cases for name in values}
+    # Fails where a new field has no case. The others are the mixture's, the reader's or the loss's; sparse has its own.
+    elsewhere = {"name", "weight", "gradient_term", "domain", "depth_scale", "sparse"}
+    assert {field.name for field in dataclasses.fields(SourceConfig)} - elsewhere == tested
+
+    rng = np.random.default_rng(0)
+    sample = outdoor_sample()
+    sample = dataclasses.replace(sample, image=torch.tensor(rng.random(sample.image.shape), dtype=torch.float32))
+
+    def result(source: SourceConfig) -> torch.Tensor:
+        augmented = augment(sample, augmentations(source, make_config()), np.random.default_rng(0))
+        return torch.cat([augmented.image, augmented.target])
+
+    for source, values in cases:
+        for name, value in values.items():
+            assert not torch.equal(result(source), result(dataclasses.replace(source, **{name: value}))), name

@@ -1,0 +1,84 @@
+"""Validation while training: the paper's protocol in stage 2, disparity with scale and shift given in stage 1."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.folders import write_disparity_pairs, write_pairs
+from torch.utils.data import Subset
+
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Sample
+from zoedepth.evaluation.predictions import ModelSource, Prediction
+from zoedepth.evaluation.protocols import Protocol
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
+from zoedepth.train import validate as module
+from zoedepth.train.validate import validate
+
+
+@pytest.fixture
+def too_far(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Predictions that are 10 % too far for the first photo and 30 % for the others, from the indoor head."""
+
+    def predict(source: ModelSource, sample: Sample, protocol: Protocol) -> tuple[Prediction, Sample]:
+        assert not source.model.training
+        factor = 1.1 if sample.name.endswith("0.jpg") else 1.3
+        return Prediction(factor * sample.target[0].numpy(), domain="indoor"), sample
+
+    monkeypatch.setattr(module, "predict", predict)
+
+
+def test_stage_2_has_the_mean_metrics_of_the_images_and_the_share_that_is_routed_right(
+    tiny_model: ZoeDepth, tmp_path: Path, too_far: None
+) -> None:
+    rooms = PairDataset(write_pairs(tmp_path / "rooms", n=2, size=(480, 640)))
+    streets = PairDataset(write_pairs(tmp_path / "streets", n=1, size=(352, 1216), domain="outdoor"))
+    found = validate(tiny_model.train(), {"rooms": rooms, "streets": streets}, stage="metric")
+    assert tiny_model.training
+    assert found == {
+        "validation/rooms/rel": pytest.approx(0.2),
+        "validation/rooms/rmse": pytest.approx(found["validation/rooms/rmse"]),
+        "validation/rooms/delta1": 0.5,
+        "validation/rooms/router": 1,
+        "validation/streets/rel": pytest.approx(0.1),
+        "validation/streets/rmse": pytest.approx(found["validation/streets/rmse"]),
+        "validation/streets/delta1": 1,
+        "validation/streets/router": 0,
+    }
+    assert 0.1 < found["validation/rooms/rmse"] < 1.5
+    assert validate(tiny_model.eval(), {"rooms": rooms}, stage="metric").keys() <= found.keys()
+    assert not tiny_model.training
+
+
+def test_photos_without_a_pixel_to_score_have_no_metrics(tiny_model: ZoeDepth, tmp_path: Path) -> None:
+    path = write_pairs(tmp_path / "rooms", n=2, without_truth=(1,))
+    some, none = PairDataset(path), Subset(PairDataset(path), [1])
+    found = validate(tiny_model, {"some": some, "none": none}, stage="metric")
+    assert {name for name in found if "/none/" in name} == {"validation/none/router"}
+    alone = validate(tiny_model, {"some": Subset(some, [0])}, stage="metric")
+    assert found["validation/some/rel"] == alone["validation/some/rel"] > 0
+
+
+@pytest.mark.parametrize("kind", ["depth", "disparity"])
+def test_stage_1_has_the_error_of_disparity_after_scale_and_shift(
+    tiny_model: ZoeDepth, tmp_path: Path, kind: str
+) -> None:
+    write = write_pairs if kind == "depth" else write_disparity_pairs
+    data = PairDataset(write(tmp_path / "photos", n=2))
+    found = validate(tiny_model, {"photos": data}, stage="relative")
+    errors = []
+    for sample in data:
+        known = sample.mask[0].numpy()
+        truth = sample.target[0].numpy().astype(np.float64)[known]
+        truth = 1 / truth if kind == "depth" else truth
+        truth = (truth - truth.min()) / (truth.max() - truth.min())
+        said = Predictor(tiny_model, pad=False, upsampling="bilinear").relative(sample.image)[known].astype(np.float64)
+        errors.append(np.sqrt(np.mean((np.polyval(np.polyfit(said, truth, 1), said) - truth) ** 2)))
+    assert found == {"validation/photos/disparity_rmse": pytest.approx(np.mean(errors), rel=1e-4)}
+    assert 0.01 < np.mean(errors) < 0.5
+
+
+def test_stage_1_without_any_known_depth_has_no_metric(tiny_model: ZoeDepth, tmp_path: Path) -> None:
+    data = PairDataset(write_pairs(tmp_path / "empty", n=1, without_truth=(0,)))
+    assert validate(tiny_model, {"empty": data}, stage="relative") == {}
