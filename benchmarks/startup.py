@@ -1,4 +1,4 @@
-"""What it costs to start: a fresh process each time."""
+"""The time to start, in a fresh process each time."""
 
 import subprocess
 import sys
@@ -7,7 +7,7 @@ from benchmarks.timing import compare
 
 
 def main() -> None:
-    """``zoedepth --help`` and ``import zoedepth`` beside their floors, the interpreter and ``import torch``."""
+    """Time ``zoedepth --help`` and ``import zoedepth`` beside their floors: the interpreter and ``import torch``."""
 
     def process(*arguments: str):
         return lambda: subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)

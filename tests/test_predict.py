@@ -81,294 +81,143 @@ def assert_same(a: DepthMap, b: DepthMap, atol: float = 0.0) -> None:
     assert a.domain == b.domain
 
 
-class TestGeometry:
-    @pytest.mark.parametrize("pad", [True, False])
-    @pytest.mark.parametrize("antialias", [True, False])
-    @pytest.mark.parametrize("size", [(64, 96), (128, 192), (97, 131), (200, 150)])
-    def test_depth_lies_where_the_photo_is(self, size: tuple[int, int], antialias: bool, pad: bool) -> None:
-        """A model that copies the photo gives the photo back: padding, mirroring and resizing are undone."""
-        photo = smooth(size)
-        result = Predictor(Brightness(antialias=antialias), pad=pad)(photo, domain="indoor")
-        assert result.depth.shape == size == result.size
-        np.testing.assert_allclose(result.depth, 1 + photo[..., 0] / 255, atol=0.06)
-        assert abs(result.depth - 1 - photo[..., 0] / 255).mean() < 0.01
-
-    def test_mirrored_photo_gives_mirrored_depth(self, tiny_model: ZoeDepth, brightness: Brightness) -> None:
-        for model in (tiny_model, brightness):
-            photo = smooth((70, 90))
-            result, mirrored = Predictor(model).batch([photo, photo[:, ::-1]])
-            np.testing.assert_allclose(result.depth, mirrored.depth[:, ::-1], rtol=1e-4)
-            np.testing.assert_allclose(result.std, mirrored.std[:, ::-1], rtol=1e-2, atol=1e-4)
-            assert result.domain == mirrored.domain
-
-    @pytest.mark.parametrize("pad", [True, False])
-    @pytest.mark.parametrize(
-        "size", [(1, 1), (1, 40), (40, 1), (2, 3), (5, 5), (33, 47), (480, 640), (24, 120), (120, 24)]
-    )
-    def test_any_size(self, tiny_model: ZoeDepth, size: tuple[int, int], pad: bool) -> None:
-        result = Predictor(tiny_model, pad=pad, flip_average=False)(smooth(size))
-        for values in (result.depth, result.std, result.confidence):
-            assert values.shape == size
-            assert values.dtype == np.float32
-            assert np.isfinite(values).all()
-        assert result.depth.min() >= 1e-3
-        assert result.std.min() >= 0
-
-    @settings(max_examples=25, deadline=None)
-    @given(height=st.integers(1, 150), width=st.integers(1, 150), pad=st.booleans(), flip=st.booleans())
-    def test_any_size_of_constant_photo_is_constant(self, height: int, width: int, pad: bool, flip: bool) -> None:
-        photo = np.full((height, width, 3), 102, np.uint8)
-        result = Predictor(Brightness(), pad=pad, flip_average=flip)(photo)
-        assert result.domain == "indoor"
-        np.testing.assert_allclose(result.depth, 1.4, rtol=1e-5)
-        np.testing.assert_allclose(result.std, 0.14, rtol=1e-4)
-
-    def test_padding_and_network_size_are_the_released_ones(self, brightness: Brightness) -> None:
-        """3 sqrt(side / 2), reflected: 480 x 640 becomes 572 x 746."""
-        seen = []
-        hook = brightness.register_forward_pre_hook(lambda _, args: seen.append(args[0]))
-        photo = smooth((480, 640))
-        result = Predictor(brightness, flip_average=False)(photo)
-        hook.remove()
-        padded = np.pad(photo, ((46, 46), (53, 53), (0, 0)), mode="reflect")
-        pixels = torch.from_numpy(padded).permute(2, 0, 1)[None].float() / 255
-        expected = nn.functional.interpolate(pixels, result.network_size, mode="bilinear", align_corners=True)
-        torch.testing.assert_close(seen[0], expected)
-        assert result.network_size == (64, 96)
-
-    def test_photo_too_long_and_narrow_is_refused_before_it_fills_the_memory(self, tiny_model: ZoeDepth) -> None:
-        with pytest.raises(InputError, match="4000 x 64 pixels is too long"):
-            Predictor(tiny_model)(np.zeros((64, 4000, 3), dtype=np.uint8))
-
-    def test_overshoot_stays_positive(self) -> None:
-        """Bicubic resizing of a step from far to near would dip below zero."""
-
-        class Step(Brightness):
-            def forward(self, pixels: Tensor, **options: object) -> DepthOutput:
-                output = super().forward(pixels, **options)
-                return output._replace(depth=torch.where(pixels[:, :1] > 0.5, 80.0, 1e-3))
-
-        photo = np.zeros((256, 384, 3), np.uint8)
-        photo[:, 192:] = 255
-        assert Predictor(Step())(photo).depth.min() == np.float32(1e-3)
+# ------------------------------------------------------------------------------------------------ one photo, one depth
 
 
-class TestUncertainty:
-    def test_std_and_confidence(self, brightness: Brightness) -> None:
-        result = Predictor(brightness, flip_average=False)(np.full((20, 30, 3), 51, np.uint8))
-        np.testing.assert_allclose(result.std, 0.1 * 1.2, rtol=1e-4)
-        np.testing.assert_allclose(result.confidence, 1 / 1.1, rtol=1e-4)
-
-    def test_head_without_distribution_has_neither(self, tiny_config: ModelConfig, tmp_path: Path) -> None:
-        model = ZoeDepth(dataclasses.replace(tiny_config, head=NaiveConfig())).eval()
-        photo = np.zeros((50, 70, 3), np.uint8)
-        for flip in (True, False):
-            result = Predictor(model, flip_average=flip)(photo)
-            assert result.std is None
-            assert result.confidence is None
-        result.save(tmp_path / "depth.npz")
-        with np.load(tmp_path / "depth.npz") as arrays:
-            assert set(arrays) == {"depth"}
-
-    def test_copies_that_disagree_add_to_the_std(self) -> None:
-        class Drifting(Brightness):
-            """Adds 0 m at the left and 1 m at the right, so that the mirrored copy disagrees at the edges."""
-
-            def forward(self, pixels: Tensor, **options: object) -> DepthOutput:
-                output = super().forward(torch.zeros_like(pixels), **options)
-                drift = torch.linspace(0, 1, pixels.shape[-1]).expand_as(output.depth)
-                return output._replace(depth=output.depth + drift, std=torch.zeros_like(output.depth))
-
-        result = Predictor(Drifting(), pad=False)(np.zeros((64, 96, 3), np.uint8))
-        np.testing.assert_allclose(result.depth, 1.5, rtol=1e-5)
-        np.testing.assert_allclose(result.std[0, [0, -1]], 0.5, rtol=1e-3)
-        assert result.std[0, 47:49].max() < 0.01
+def test_path_pil_array_and_tensor_give_one_depth(tiny_model: ZoeDepth, tmp_path: Path) -> None:
+    photo = smooth((50, 70))
+    Image.fromarray(photo).save(tmp_path / "photo.png")
+    tensor = torch.from_numpy(photo).permute(2, 0, 1)
+    predictor = Predictor(tiny_model)
+    expected = predictor(photo)
+    for source in (
+        tmp_path / "photo.png",
+        str(tmp_path / "photo.png"),
+        io.BytesIO((tmp_path / "photo.png").read_bytes()),
+        Image.fromarray(photo),
+        photo / 255,
+        tensor,
+        tensor.float() / 255,
+    ):
+        assert_same(predictor(source), expected)
 
 
-class TestDomain:
-    def test_both_copies_take_the_head_of_their_mean_logits(self, brightness: Brightness) -> None:
-        """Alone, the mirrored copy of this photo would go outdoors, and the mean be ten metres off."""
-        photo = smooth((64, 96))
-        result = Predictor(brightness)(photo)
-        assert result.domain == "indoor"
-        assert result.depth.max() < 2.1
-        assert brightness.n_images == 3, "the copy that took another head is run again, and only that one"
-        assert result.domain_probability == pytest.approx({"indoor": 0.5, "outdoor": 0.5}, abs=1e-5)
-
-    def test_given_domain(self, brightness: Brightness) -> None:
-        photo = smooth((64, 96))
-        indoor, outdoor = (Predictor(brightness)(photo, domain=name) for name in ("indoor", "outdoor"))
-        assert (indoor.domain, outdoor.domain) == ("indoor", "outdoor")
-        np.testing.assert_allclose(outdoor.depth, 10 * indoor.depth, rtol=1e-5)
-        assert brightness.n_images == 4
-        with pytest.raises(InputError, match=r"no head for 'moon'.*indoor"):
-            Predictor(brightness)(photo, domain="moon")
-
-    def test_each_photo_of_a_batch_takes_its_own_head(self, brightness: Brightness) -> None:
-        photo = smooth((64, 96))
-        results = Predictor(brightness, flip_average=False).batch([photo, photo[:, ::-1], photo])
-        assert [result.domain for result in results] == ["indoor", "outdoor", "indoor"]
+def test_mirrored_photo_gives_mirrored_depth(tiny_model: ZoeDepth, brightness: Brightness) -> None:
+    for model in (tiny_model, brightness):
+        photo = smooth((70, 90))
+        result, mirrored = Predictor(model).batch([photo, photo[:, ::-1]])
+        np.testing.assert_allclose(result.depth, mirrored.depth[:, ::-1], rtol=1e-4)
+        np.testing.assert_allclose(result.std, mirrored.std[:, ::-1], rtol=1e-2, atol=1e-4)
+        assert result.domain == mirrored.domain
 
 
-class TestWaysIn:
-    def test_path_pil_array_and_tensor_give_one_depth(self, tiny_model: ZoeDepth, tmp_path: Path) -> None:
-        photo = smooth((50, 70))
-        Image.fromarray(photo).save(tmp_path / "photo.png")
-        tensor = torch.from_numpy(photo).permute(2, 0, 1)
-        predictor = Predictor(tiny_model)
-        expected = predictor(photo)
-        for source in (
-            tmp_path / "photo.png",
-            str(tmp_path / "photo.png"),
-            io.BytesIO((tmp_path / "photo.png").read_bytes()),
-            Image.fromarray(photo),
-            photo / 255,
-            tensor,
-            tensor.float() / 255,
-        ):
-            assert_same(predictor(source), expected)
-
-    def test_upright(self, tiny_model: ZoeDepth, tmp_path: Path) -> None:
-        photo = smooth((50, 70))
-        exif = Image.Exif()
-        exif[0x0112] = 6
-        Image.fromarray(photo).transpose(Image.Transpose.ROTATE_90).save(tmp_path / "photo.png", exif=exif)
-        assert_same(Predictor(tiny_model)(tmp_path / "photo.png"), Predictor(tiny_model)(photo))
-
-    def test_batch_equals_singles(self, tiny_model: ZoeDepth) -> None:
-        sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (30, 90), (50, 71), (1, 1)]
-        photos = [smooth(size, seed) for seed, size in enumerate(sizes)]
-        predictor = Predictor(tiny_model)
-        for batch_size in (3, 16):
-            for photo, result in zip(photos, predictor.batch(photos, batch_size=batch_size), strict=True):
-                np.testing.assert_array_equal(result.image, photo)
-                assert_same(result, predictor(photo), atol=1e-5)
-        assert predictor.batch([]) == []
-
-    def test_threads_share_one(self, tiny_model: ZoeDepth) -> None:
-        predictor, photos, results = Predictor(tiny_model), [smooth((40, 60), seed) for seed in range(6)], {}
-
-        def run(index: int) -> None:
-            results[index] = predictor(photos[index])
-
-        threads = [Thread(target=run, args=(index,)) for index in range(6)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        for index, photo in enumerate(photos):
-            assert_same(results[index], predictor(photo), atol=1e-5)
-
-    def test_model_is_left_as_it_was(self, tiny_model: ZoeDepth) -> None:
-        before = copy.deepcopy(tiny_model.state_dict())
-        result = Predictor(tiny_model)(smooth((40, 60)))
-        assert not tiny_model.training
-        assert all(parameter.requires_grad and parameter.grad is None for parameter in tiny_model.parameters())
-        assert all(torch.equal(before[name], value) for name, value in tiny_model.state_dict().items())
-        assert result.depth.flags.writeable
-
-    def test_options(self, tiny_model: ZoeDepth) -> None:
-        photo = smooth((40, 60))
-        full = Predictor(tiny_model, device="cpu")(photo)
-        reduced = Predictor(tiny_model, precision="bfloat16")(photo)
-        assert reduced.depth.dtype == np.float32
-        np.testing.assert_allclose(reduced.depth, full.depth, rtol=0.1)
-        with pytest.raises(
-            (InputError, TypeError), match="precision"
-        ):  # TypeError: where types are checked at run time
-            Predictor(tiny_model, precision="int4")
-        with pytest.raises(InputError, match="'abacus'"):
-            Predictor(tiny_model, device="abacus")
-
-    def test_training_mode_is_refused(self, tiny_model: ZoeDepth) -> None:
-        with pytest.raises(InputError, match=r"model\.eval\(\)"):
-            Predictor(tiny_model.train())(smooth((40, 60)))
+def test_batch_equals_singles(tiny_model: ZoeDepth) -> None:
+    sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (30, 90), (50, 71), (1, 1)]
+    photos = [smooth(size, seed) for seed, size in enumerate(sizes)]
+    predictor = Predictor(tiny_model)
+    for batch_size in (3, 16):
+        for photo, result in zip(photos, predictor.batch(photos, batch_size=batch_size), strict=True):
+            np.testing.assert_array_equal(result.image, photo)
+            assert_same(result, predictor(photo), atol=1e-5)
+    assert predictor.batch([]) == []
 
 
-class TestSave:
-    @pytest.fixture
-    def result(self, brightness: Brightness) -> DepthMap:
-        return Predictor(brightness)(smooth((40, 60)))
-
-    def test_formats(self, result: DepthMap, tmp_path: Path) -> None:
-        result.save(tmp_path / "depth.png")
-        np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), result.depth, atol=5.1e-4)
-        for name in ("depth.npy", "depth.npz"):
-            result.save(tmp_path / name)
-            np.testing.assert_array_equal(read_depth(tmp_path / name), result.depth)
-        with np.load(tmp_path / "depth.npz") as arrays:
-            assert set(arrays) == {"depth", "std", "confidence"}
-        result.save(tmp_path / "depth.jpg")
-        with Image.open(tmp_path / "depth.jpg") as picture:
-            assert picture.size == result.preview().shape[1::-1]
-        with pytest.raises(InputError, match=r"depth\.txt"):
-            result.save(tmp_path / "depth.txt")
-
-    def test_scale(self, result: DepthMap, tmp_path: Path) -> None:
-        result.save(tmp_path / "depth.png", scale=256.0)
-        np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), result.depth, atol=2e-3)
-        far = DepthMap(result.depth * 40, result.std, "outdoor", {"outdoor": 1.0}, result.image, result.network_size)
-        far.save(tmp_path / "depth.png")
-        np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), far.depth, atol=2e-3)
-
-
-class TestInfer:
-    """Tensors in, tensors out."""
-
-    def test_same_depth_as_of_photos(self, tiny_model: ZoeDepth) -> None:
-        photos = [smooth((50, 70), seed) for seed in range(3)]
-        pixels = torch.stack([torch.from_numpy(photo).permute(2, 0, 1) for photo in photos]) / 255
-        predictor = Predictor(tiny_model)
+def test_infer_equals_call(tiny_model: ZoeDepth) -> None:
+    """Tensors in, tensors out, with the router's heads or given ones."""
+    photos = [smooth((50, 70), seed) for seed in range(3)]
+    pixels = torch.stack([torch.from_numpy(photo).permute(2, 0, 1) for photo in photos]) / 255
+    predictor = Predictor(tiny_model)
+    for domain, heads in ((None, None), ("outdoor", torch.tensor([1, 1, 1]))):
         with torch.no_grad():
-            depth = predictor.infer(pixels)
+            depth = predictor.infer(pixels, domain=heads)
         assert depth.shape == (3, 1, 50, 70)
         for row, photo in enumerate(photos):
-            np.testing.assert_allclose(depth[row, 0], predictor(photo).depth, rtol=1e-5)
-
-    def test_given_domains(self, tiny_model: ZoeDepth) -> None:
-        predictor, photo = Predictor(tiny_model), smooth((50, 70))
-        pixels = torch.from_numpy(photo).permute(2, 0, 1)[None] / 255
-        with torch.no_grad():
-            depth = predictor.infer(pixels, domain=torch.tensor([1]))
-        np.testing.assert_allclose(depth[0, 0], predictor(photo, domain="outdoor").depth, rtol=1e-5)
-
-    @pytest.mark.parametrize(
-        "pixels",
-        [
-            torch.rand(3, 8, 8),
-            torch.rand(1, 4, 8, 8),
-            torch.zeros(1, 3, 8, 8, dtype=torch.uint8),
-            torch.rand(1, 3, 0, 8),
-        ],
-    )
-    def test_wrong_tensors(self, tiny_model: ZoeDepth, pixels: Tensor, unchecked_types: None) -> None:
-        with pytest.raises(InputError, match="pixels must be float"):
-            Predictor(tiny_model).infer(pixels)
-
-    def test_training_mode(self, tiny_model: ZoeDepth) -> None:
-        with pytest.raises(InputError, match="training mode"):
-            Predictor(tiny_model.train()).infer(torch.rand(1, 3, 8, 8))
+            # Three photos at once may be summed in another order than one.
+            np.testing.assert_allclose(depth[row, 0], predictor(photo, domain=domain).depth, rtol=1e-4)
 
 
-class TestRelative:
-    def test_size_sign_and_mirror_image(self, tiny_model: ZoeDepth) -> None:
-        photo = smooth((70, 90))
-        relative = Predictor(tiny_model).relative(photo)
-        assert relative.shape == (70, 90)
-        assert relative.dtype == np.float32
-        assert relative.min() >= 0
-        assert relative.std() > 0
-        mirrored = Predictor(tiny_model).relative(photo[:, ::-1])
-        np.testing.assert_allclose(mirrored[:, ::-1], relative, rtol=1e-3, atol=1e-5)
+def test_threads_share_one(tiny_model: ZoeDepth) -> None:
+    predictor, photos, results = Predictor(tiny_model), [smooth((40, 60), seed) for seed in range(6)], {}
 
-    def test_needs_no_metric_head(self, tiny_model: ZoeDepth) -> None:
-        config = dataclasses.replace(tiny_model.config, domains=())
-        bare = ZoeDepth(config).eval()
-        bare.load_state_dict({k: v for k, v in tiny_model.state_dict().items() if k.startswith(("encoder", "decoder"))})
-        photo = smooth((70, 90))
-        assert np.array_equal(Predictor(bare).relative(photo), Predictor(tiny_model).relative(photo))
-        with pytest.raises(InputError, match="relative depth only"):
-            Predictor(bare)(photo)
+    def run(index: int) -> None:
+        results[index] = predictor(photos[index])
+
+    threads = [Thread(target=run, args=(index,)) for index in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for index, photo in enumerate(photos):
+        assert_same(results[index], predictor(photo), atol=1e-5)
+
+
+# ---------------------------------------------------------------------------------------------------- where depth lies
+
+
+@pytest.mark.parametrize("pad", [True, False])
+@pytest.mark.parametrize("antialias", [True, False])
+@pytest.mark.parametrize("size", [(64, 96), (128, 192), (97, 131), (200, 150)])
+def test_depth_lies_where_the_photo_is(size: tuple[int, int], antialias: bool, pad: bool) -> None:
+    """A model that copies the photo gives the photo back: padding, mirroring and resizing are undone."""
+    photo = smooth(size)
+    result = Predictor(Brightness(antialias=antialias), pad=pad)(photo, domain="indoor")
+    assert result.depth.shape == size == result.size
+    np.testing.assert_allclose(result.depth, 1 + photo[..., 0] / 255, atol=0.06)
+    assert abs(result.depth - 1 - photo[..., 0] / 255).mean() < 0.01
+
+
+@pytest.mark.parametrize("pad", [True, False])
+@pytest.mark.parametrize("size", [(1, 1), (1, 40), (40, 1), (2, 3), (33, 47), (24, 120)])
+def test_any_size(tiny_model: ZoeDepth, size: tuple[int, int], pad: bool) -> None:
+    result = Predictor(tiny_model, pad=pad, flip_average=False)(smooth(size))
+    for values in (result.depth, result.std, result.confidence):
+        assert values.shape == size
+        assert values.dtype == np.float32
+        assert np.isfinite(values).all()
+    assert result.depth.min() >= 1e-3
+    assert result.std.min() >= 0
+
+
+@settings(max_examples=25, deadline=None)
+@given(height=st.integers(1, 150), width=st.integers(1, 150), pad=st.booleans(), flip=st.booleans())
+def test_any_size_of_constant_photo_is_constant(height: int, width: int, pad: bool, flip: bool) -> None:
+    photo = np.full((height, width, 3), 102, np.uint8)
+    result = Predictor(Brightness(), pad=pad, flip_average=flip)(photo)
+    assert result.domain == "indoor"
+    np.testing.assert_allclose(result.depth, 1.4, rtol=1e-5)
+    np.testing.assert_allclose(result.std, 0.14, rtol=1e-4)
+
+
+def test_padding_and_network_size_are_the_released_ones(brightness: Brightness) -> None:
+    """3 sqrt(side / 2), reflected: 480 x 640 becomes 572 x 746."""
+    seen = []
+    hook = brightness.register_forward_pre_hook(lambda _, args: seen.append(args[0]))
+    photo = smooth((480, 640))
+    result = Predictor(brightness, flip_average=False)(photo)
+    hook.remove()
+    padded = np.pad(photo, ((46, 46), (53, 53), (0, 0)), mode="reflect")
+    pixels = torch.from_numpy(padded).permute(2, 0, 1)[None].float() / 255
+    expected = nn.functional.interpolate(pixels, result.network_size, mode="bilinear", align_corners=True)
+    torch.testing.assert_close(seen[0], expected)
+    assert result.network_size == (64, 96)
+
+
+def test_photo_too_long_and_narrow_is_refused_before_it_fills_the_memory(tiny_model: ZoeDepth) -> None:
+    with pytest.raises(InputError, match="4000 x 64 pixels is too long"):
+        Predictor(tiny_model)(np.zeros((64, 4000, 3), dtype=np.uint8))
+
+
+def test_overshoot_stays_positive() -> None:
+    """Bicubic resizing of a step from far to near would dip below zero."""
+
+    class Step(Brightness):
+        def forward(pixels: Tensor, **options: object) -> DepthOutput:
+            output = super().forward(pixels, **options)
+            return output._replace(depth=torch.where(pixels[:, :1] > 0.5, 80.0, 1e-3))
+
+    photo = np.zeros((256, 384, 3), np.uint8)
+    photo[:, 192:] = 255
+    assert Predictor(Step())(photo).depth.min() == np.float32(1e-3)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 3), (5, 4), (30, 40)])
@@ -377,3 +226,163 @@ def test_reflect_pad_is_numpys(size: tuple[int, int], padding: tuple[int, int]) 
     x = torch.rand(2, 3, *size)
     expected = np.pad(x.numpy(), ((0, 0), (0, 0), (padding[0],) * 2, (padding[1],) * 2), mode="reflect")
     assert np.array_equal(reflect_pad(x, *padding).numpy(), expected)
+
+
+# --------------------------------------------------------------------------------------------------------- uncertainty
+
+
+def test_std_and_confidence(brightness: Brightness) -> None:
+    result = Predictor(brightness, flip_average=False)(np.full((20, 30, 3), 51, np.uint8))
+    np.testing.assert_allclose(result.std, 0.1 * 1.2, rtol=1e-4)
+    np.testing.assert_allclose(result.confidence, 1 / 1.1, rtol=1e-4)
+
+
+def test_head_without_distribution_has_neither(tiny_config: ModelConfig, tmp_path: Path) -> None:
+    model = ZoeDepth(dataclasses.replace(tiny_config, head=NaiveConfig())).eval()
+    photo = np.zeros((50, 70, 3), np.uint8)
+    for flip in (True, False):
+        result = Predictor(model, flip_average=flip)(photo)
+        assert result.std is None
+        assert result.confidence is None
+    result.save(tmp_path / "depth.npz")
+    with np.load(tmp_path / "depth.npz") as arrays:
+        assert set(arrays) == {"depth"}
+
+
+def test_copies_that_disagree_add_to_the_std() -> None:
+    class Drifting(Brightness):
+        """Adds 0 m at the left and 1 m at the right, so that the mirrored copy disagrees at the edges."""
+
+        def forward(pixels: Tensor, **options: object) -> DepthOutput:
+            output = super().forward(torch.zeros_like(pixels), **options)
+            drift = torch.linspace(0, 1, pixels.shape[-1]).expand_as(output.depth)
+            return output._replace(depth=output.depth + drift, std=torch.zeros_like(output.depth))
+
+    result = Predictor(Drifting(), pad=False)(np.zeros((64, 96, 3), np.uint8))
+    np.testing.assert_allclose(result.depth, 1.5, rtol=1e-5)
+    np.testing.assert_allclose(result.std[0, [0, -1]], 0.5, rtol=1e-3)
+    assert result.std[0, 47:49].max() < 0.01
+
+
+# ------------------------------------------------------------------------------------------------------------- domains
+
+
+def test_both_copies_take_the_head_of_their_mean_logits(brightness: Brightness) -> None:
+    """Alone, the mirrored copy of this photo would go outdoors, and the mean be ten metres off."""
+    photo = smooth((64, 96))
+    result = Predictor(brightness)(photo)
+    assert result.domain == "indoor"
+    assert result.depth.max() < 2.1
+    assert brightness.n_images == 3, "the copy that took another head is run again, and only that one"
+    assert result.domain_probability == pytest.approx({"indoor": 0.5, "outdoor": 0.5}, abs=1e-5)
+
+
+def test_given_domain(brightness: Brightness) -> None:
+    photo = smooth((64, 96))
+    indoor, outdoor = (Predictor(brightness)(photo, domain=name) for name in ("indoor", "outdoor"))
+    assert (indoor.domain, outdoor.domain) == ("indoor", "outdoor")
+    np.testing.assert_allclose(outdoor.depth, 10 * indoor.depth, rtol=1e-5)
+    assert brightness.n_images == 4
+    with pytest.raises(InputError, match=r"no head for 'moon'.*indoor"):
+        Predictor(brightness)(photo, domain="moon")
+
+
+def test_each_photo_of_a_batch_takes_its_own_head(brightness: Brightness) -> None:
+    photo = smooth((64, 96))
+    results = Predictor(brightness, flip_average=False).batch([photo, photo[:, ::-1], photo])
+    assert [result.domain for result in results] == ["indoor", "outdoor", "indoor"]
+
+
+# ------------------------------------------------------------------------------------------------------ relative depth
+
+
+def test_relative_depth_has_the_photo_s_size_no_sign_and_a_mirror_image(tiny_model: ZoeDepth) -> None:
+    photo = smooth((70, 90))
+    relative = Predictor(tiny_model).relative(photo)
+    assert relative.shape == (70, 90)
+    assert relative.dtype == np.float32
+    assert relative.min() >= 0
+    assert relative.std() > 0
+    mirrored = Predictor(tiny_model).relative(photo[:, ::-1])
+    np.testing.assert_allclose(mirrored[:, ::-1], relative, rtol=1e-3, atol=1e-5)
+
+
+def test_relative_depth_needs_no_metric_head(tiny_model: ZoeDepth) -> None:
+    config = dataclasses.replace(tiny_model.config, domains=())
+    bare = ZoeDepth(config).eval()
+    bare.load_state_dict({k: v for k, v in tiny_model.state_dict().items() if k.startswith(("encoder", "decoder"))})
+    photo = smooth((70, 90))
+    assert np.array_equal(Predictor(bare).relative(photo), Predictor(tiny_model).relative(photo))
+    with pytest.raises(InputError, match="relative depth only"):
+        Predictor(bare)(photo)
+
+
+# -------------------------------------------------------------------------------------------------------------- saving
+
+
+def test_save_writes_in_the_format_of_the_suffix(brightness: Brightness, tmp_path: Path) -> None:
+    result = Predictor(brightness)(smooth((40, 60)))
+    result.save(tmp_path / "depth.png")
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), result.depth, atol=5.1e-4)
+    result.save(tmp_path / "kitti.png", scale=256.0)
+    np.testing.assert_allclose(read_depth(tmp_path / "kitti.png", scale=256.0), result.depth, atol=2e-3)
+    for name in ("depth.npy", "depth.npz"):
+        result.save(tmp_path / name)
+        np.testing.assert_array_equal(read_depth(tmp_path / name), result.depth)
+    with np.load(tmp_path / "depth.npz") as arrays:
+        np.testing.assert_array_equal(arrays["std"], result.std)
+        np.testing.assert_array_equal(arrays["confidence"], result.confidence)
+    result.save(tmp_path / "depth.jpg")
+    with Image.open(tmp_path / "depth.jpg") as picture:
+        assert picture.size == result.preview().shape[1::-1]
+    with pytest.raises(InputError, match=r"depth\.txt"):
+        result.save(tmp_path / "depth.txt")
+
+
+# ------------------------------------------------------------------------------------------------ options and refusals
+
+
+def test_model_is_left_as_it_was(tiny_model: ZoeDepth) -> None:
+    before = copy.deepcopy(tiny_model.state_dict())
+    result = Predictor(tiny_model)(smooth((40, 60)))
+    assert not tiny_model.training
+    assert all(parameter.requires_grad and parameter.grad is None for parameter in tiny_model.parameters())
+    assert all(torch.equal(before[name], value) for name, value in tiny_model.state_dict().items())
+    assert result.depth.flags.writeable
+
+
+def test_options(tiny_model: ZoeDepth) -> None:
+    photo = smooth((40, 60))
+    full = Predictor(tiny_model, device="cpu")(photo)
+    reduced = Predictor(tiny_model, precision="bfloat16")(photo)
+    assert reduced.depth.dtype == np.float32
+    np.testing.assert_allclose(reduced.depth, full.depth, rtol=0.1)
+    with pytest.raises((InputError, TypeError), match="precision"):  # TypeError: where types are checked at run time
+        Predictor(tiny_model, precision="int4")
+    with pytest.raises(InputError, match="'abacus'"):
+        Predictor(tiny_model, device="abacus")
+
+
+def test_training_mode_is_refused(tiny_model: ZoeDepth) -> None:
+    predictor, photo = Predictor(tiny_model.train()), smooth((40, 60))
+    for call in (
+        lambda: predictor(photo),
+        lambda: predictor.relative(photo),
+        lambda: predictor.infer(torch.rand(1, 3, 8, 8)),
+    ):
+        with pytest.raises(InputError, match=r"training mode.*model\.eval\(\)"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "pixels",
+    [
+        torch.rand(3, 8, 8),
+        torch.rand(1, 4, 8, 8),
+        torch.zeros(1, 3, 8, 8, dtype=torch.uint8),
+        torch.rand(1, 3, 0, 8),
+    ],
+)
+def test_wrong_tensors(tiny_model: ZoeDepth, pixels: Tensor, unchecked_types: None) -> None:
+    with pytest.raises(InputError, match="pixels must be float"):
+        Predictor(tiny_model).infer(pixels)

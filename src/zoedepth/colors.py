@@ -196,7 +196,7 @@ def _font_size(height: int) -> int:
 
 
 def _ticks(vmin: float, vmax: float, *, count: int) -> np.ndarray:
-    """Return about ``count`` round numbers in [vmin, vmax]: multiples of 1, 2 or 5 times a power of ten; at least one."""
+    """Return about ``count`` round numbers in [vmin, vmax], at least one: 1, 2 or 5 times a power of ten apart."""
     span = vmax - vmin
     power = 10.0 ** np.floor(np.log10(span / count))
     for step in (power, 2 * power, 5 * power, 10 * power):

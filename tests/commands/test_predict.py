@@ -12,6 +12,7 @@ from PIL import Image
 
 from zoedepth.cli import main
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.outputs import OUTPUTS
 from zoedepth.predict import DepthMap, Predictor
 from zoedepth.stored import read_depth
 
@@ -108,6 +109,15 @@ class TestOptions:
         assert predict(photo, *options, out=tmp_path / "out") == 2
         assert message in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
+
+    def test_help_names_every_kind_of_file(
+        self, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setenv("COLUMNS", "160")
+        with pytest.raises(SystemExit):
+            main(["predict", "--help"])
+        printed = " ".join(capsys.readouterr().out.replace("│", " ").split())
+        assert all(f"{name}: NAME{output.ending}, {output.summary}" in printed for name, output in OUTPUTS.items())
 
     def test_out_must_be_a_folder(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert predict(photo, out=photo) == 2

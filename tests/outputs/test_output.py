@@ -35,6 +35,7 @@ class TestEveryOutput:
 
     def test_has_an_ending_and_suffixes_of_its_own(self, output: Output) -> None:
         assert Path(f"photo{output.ending}").suffix
+        assert output.summary
         others = [other for other in OUTPUTS.values() if other is not output]
         assert not any(other.ending.endswith(output.ending) for other in others)
         assert not set(output.suffixes) & {suffix for other in others for suffix in other.suffixes}

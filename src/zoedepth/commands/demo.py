@@ -1,4 +1,4 @@
-"""``zoedepth demo``: real photographs through the model, one of them with ground truth."""
+"""``zoedepth demo``: predict real photographs, one of them with measured depth."""
 
 import math
 from pathlib import Path
@@ -17,7 +17,7 @@ from zoedepth.metrics import compute_metrics
 if TYPE_CHECKING:
     from zoedepth.predict import DepthMap
 
-# Calibration of the photo, valid at the size it is shipped at (docstring of skimage.data.stereo_motorcycle).
+# The camera of the photo at the size scikit-image ships it (docstring of skimage.data.stereo_motorcycle).
 FOCAL_PX = 994.978
 BASELINE = 0.193001
 """Metres."""
@@ -25,17 +25,17 @@ PRINCIPAL_POINT_SHIFT_PX = 31.086
 """Column of the right camera's principal point minus the left's, added to each disparity."""
 
 NYU_FOCAL_PX, NYU_WIDTH = 518.86, 640
-"""The camera of NYU Depth v2, which indoor models learn metres from."""
+"""The camera of NYU Depth v2, from which indoor models learn metres."""
 
 
 def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
-    """Depth of three photographs, and the error of the one whose depth was measured.
+    """Predict the depth of three photographs, and compare one with its measured depth.
 
     The photographs come with scikit-image; nothing is downloaded.
 
     Args:
         out: folder to write to.
-        model: name of a model in the package, or a file of weights.
+        model: a name of `zoedepth models`, or a file of weights.
     """
     data = _skimage_data()
     photos = {"motorcycle": data.stereo_motorcycle()[0], "rocket": data.rocket(), "coffee": data.coffee()}
@@ -50,7 +50,7 @@ def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
     for name, photo in photos.items():
         result = results[name] = predictor(photo)
         result.save(out / f"{name}_depth.png")
-        write_image(out / f"{name}_preview.jpg", result.preview())
+        result.save(out / f"{name}_preview.jpg")
         near, far = np.percentile(result.depth, (1, 99))
         console.print(f"{name}: {near:.1f} to {far:.1f} m, {_domain(result)}")
 
@@ -63,7 +63,7 @@ def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
 
 
 def motorcycle_depth() -> DepthArray:
-    """Measured depth of the motorcycle, metres, (500, 741); 0 where it was not measured.
+    """Return the measured depth of the motorcycle: metres, (500, 741), 0 where it was not measured.
 
     Middlebury 2014 stereo (Scharstein et al., GCPR 2014), reduced four times by scikit-image: the depth is
     focal length * baseline / (disparity + shift of the principal point), from 2.0 to 5.0 m.
@@ -87,7 +87,7 @@ def _domain(result: "DepthMap") -> str:
 
 
 def _error_table(depth: DepthArray, truth: DepthArray) -> Table:
-    """Errors where the depth was measured, as they are and after one factor makes the medians agree."""
+    """Return the errors where depth was measured: as predicted, and after a factor that makes the medians agree."""
     known = truth > 0
     predicted, measured = depth[known], truth[known]
     factor = float(np.median(measured) / np.median(predicted))
@@ -106,13 +106,13 @@ def _focal_note(width: int) -> str:
     nyu_view = 2 * math.degrees(math.atan(NYU_WIDTH / 2 / NYU_FOCAL_PX))
     factor = (FOCAL_PX / width) / (NYU_FOCAL_PX / NYU_WIDTH)
     return (
-        f"The focal length is unknown to the model. This photo spans {view:.0f} degrees, NYU's {nyu_view:.0f}: "
-        f"this leaves its scale open by a factor of {factor:.1f}. The second row judges the shape without it."
+        f"The model does not know the focal length. This photo spans {view:.0f} degrees and NYU's {nyu_view:.0f}, "
+        f"so its scale can be wrong by a factor of {factor:.1f}. The second row judges the shape without the scale."
     )
 
 
 def _contact_sheet(results: dict[str, "DepthMap"], truth: DepthArray) -> ImageArray:
-    """Photo and depth in rows; below the motorcycle, what was measured and the error, in the colours of the depth."""
+    """Draw each photo beside its depth; below the motorcycle, what was measured in the same colours, and the error."""
     rows = []
     for name, result in results.items():
         measured = truth if name == "motorcycle" else None
@@ -136,7 +136,7 @@ def _depth_panel(depth: DepthArray, vmin: float, vmax: float, *, caption: str) -
 
 
 def _error_panel(depth: DepthArray, truth: DepthArray) -> ImageArray:
-    """Predicted over measured depth in percent: 100 is right, blue too near, red too far."""
+    """Draw predicted over measured depth in percent: 100 is right, blue too near, red too far."""
     percent = np.full_like(truth, np.nan)
     np.divide(100 * depth, truth, out=percent, where=truth > 0)
     bar = color_bar(truth.shape[0], vmin=50.0, vmax=150.0, colormap="Spectral_r", unit="%")

@@ -17,7 +17,12 @@ if TYPE_CHECKING:
     from zoedepth.predict import Predictor
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED = 1, 2, 130
-KINDS = "{" + ",".join(OUTPUTS) + "}"
+
+_SAVE = tyro.conf.arg(
+    metavar=f"[{{{','.join(OUTPUTS)}}} ...]",
+    help="kinds of files to write beside the sidecar; without it, depth (or relative) and preview. "
+    + "; ".join(f"{name}: NAME{output.ending}, {output.summary}" for name, output in OUTPUTS.items()),
+)
 
 
 def predict(
@@ -25,7 +30,7 @@ def predict(
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     model: str = "zoed-lite",
-    save: Annotated[tuple[str, ...], tyro.conf.arg(metavar=f"[{KINDS} ...]")] = (),
+    save: Annotated[tuple[str, ...], _SAVE] = (),
     preview: bool = True,
     flip: bool = True,
     pad: Literal["model", "yes", "no"] = "model",
@@ -50,9 +55,7 @@ def predict(
         out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
             `zoedepth export`.
-        save: kinds of files to write beside the sidecar. Without it: depth and preview. depth: NAME_depth.png, 16 bits;
-            preview: NAME_preview.jpg; npy: NAME_depth.npy, float32 metres; npz: NAME.npz with the arrays depth, std and
-            confidence; relative: NAME_relative.png, see --relative.
+        save: names in ``outputs.OUTPUTS``; their summaries are the help.
         preview: write the colour preview, the photo beside its depth with a bar in metres.
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
         pad: reflect the borders outwards before the network, against artefacts at the border. "model" does as the model

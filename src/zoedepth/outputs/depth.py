@@ -61,4 +61,4 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     return Written({"png_scale": scale}, tuple(notes))
 
 
-DEPTH = Output("_depth.png", _write, suffixes=(".png",))
+DEPTH = Output("_depth.png", "metres as a 16-bit PNG", _write, suffixes=(".png",))

@@ -15,4 +15,4 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     return Written()
 
 
-NPY = Output("_depth.npy", _write, suffixes=(".npy",))
+NPY = Output("_depth.npy", "metres as an array of float32", _write, suffixes=(".npy",))

@@ -24,4 +24,6 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     return Written()
 
 
-NPZ = Output(".npz", _write, suffixes=(".npz",), maps=("depth", "relative"))
+NPZ = Output(
+    ".npz", "the arrays depth, std and confidence, or relative", _write, suffixes=(".npz",), maps=("depth", "relative")
+)

@@ -82,6 +82,8 @@ class Output:
 
     ending: str
     """The end of its file's name, e.g. "_depth.png" for photo_depth.png."""
+    summary: str
+    """What the file holds, for a line of help, e.g. "metres as a 16-bit PNG"."""
     write: Callable[[Path, Maps, Options], Written]
     """Write the file, whole or not at all (``images.atomic_path``)."""
     suffixes: tuple[str, ...] = ()

@@ -20,6 +20,7 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
 # A .png is depth.
 PREVIEW = Output(
     "_preview.jpg",
+    "the photo beside its coloured depth",
     _write,
     suffixes=tuple(suffix for suffix in PICTURE_SUFFIXES if suffix != ".png"),
     maps=("depth", "relative"),

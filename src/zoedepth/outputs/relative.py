@@ -43,4 +43,4 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     return Written({"png_range": list(write_relative_png(path, needed(maps, "relative")))})
 
 
-RELATIVE = Output("_relative.png", _write, maps=("relative",))
+RELATIVE = Output("_relative.png", "relative depth as a 16-bit PNG", _write, maps=("relative",))
