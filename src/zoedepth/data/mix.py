@@ -75,7 +75,7 @@ class Mixture(Dataset[Sample]):
 
 
 def shuffled(dataset: Samples, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
-    """Shuffle the numbers of all samples; a data set, or the whole it is a part of, may have an ``order`` of its own."""
+    """Shuffle the numbers of all samples; a data set, or the whole it is cut from, may have an ``order`` of its own."""
     if isinstance(dataset, Ordered):
         return dataset.order(rng)
     if isinstance(dataset, Subset) and isinstance(dataset.dataset, Ordered):
