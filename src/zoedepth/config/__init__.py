@@ -1,4 +1,4 @@
-"""The configuration of every model, in frozen dataclasses. Nothing here imports torch."""
+"""The configuration of every model, in frozen dataclasses. This package does not import torch."""
 
 from zoedepth.config.baselines import (
     AdaBinsNetworkConfig,

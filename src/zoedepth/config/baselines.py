@@ -1,6 +1,6 @@
-"""The configuration of the systems the paper compares with, each as its authors built it. Nothing here imports torch.
+"""The configuration of the systems the paper compares with, each as its authors built it.
 
-The networks are in ``baselines/``.
+The networks are in ``baselines/``. This file does not import torch.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class AdaBinsNetworkConfig:
     encoder: str = "tf_efficientnet_b5"
     """timm architecture: an EfficientNet."""
     n_bins: int = 256
-    """Bins of an image."""
+    """Number of bins of an image."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,12 @@ class LocalBinsNetworkConfig:
     encoder: str = "tf_efficientnet_b5"
     """timm architecture: an EfficientNet."""
     n_seed_bins: int = 8
-    """Bins at the bottleneck; 16 times as many at the end. 8: the code's default. 16: the paper's 256 bins."""
+    """Number of bins at the bottleneck; there are 16 times as many at the end. 8: the code's default. 16: the paper's
+    256 bins."""
     n_windows: int = 200
-    """While training: random windows of each of five sizes, for the loss of local histograms; 0: none."""
+    """Number of random windows of each of five sizes in training, for the loss of local histograms; 0: none."""
     front_padding: bool = True
-    """Edges of bins begin at the nearest depth. False: one width later, as in the public code."""
+    """True: the edges of bins begin at the nearest depth. False: one width later, as in the public code."""
 
     def __post_init__(self) -> None:
         require(self.n_seed_bins >= 2, "network.n_seed_bins", "at least 2", self.n_seed_bins)
@@ -61,9 +62,9 @@ class PixelBinsNetworkConfig:
     encoder: str = "tf_efficientnet_b5"
     """timm architecture: an EfficientNet."""
     n_bins: int = 128
-    """Bins at every pixel."""
+    """Number of bins at every pixel."""
     exact: bool = True
-    """As published: ReLU + 1e-6 and edges that begin one width late. False: see ``PixelBinsConfig``."""
+    """True: as published, ReLU + 1e-6 and edges that begin one width late. False: see ``PixelBinsConfig``."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class NewCrfsNetworkConfig:
     attention_heads: tuple[int, int, int, int] = (32, 16, 8, 4)
     """Attention heads at strides 32, 16, 8, 4."""
     seed_width: int = 512
-    """Channels that pyramid pooling makes of the coarsest map, the first value at stride 32."""
+    """Channels of the first value at stride 32, which pyramid pooling makes of the coarsest map."""
 
     def __post_init__(self) -> None:
         require_crf_widths(self.widths, self.attention_heads, self.seed_width, "network")
@@ -91,11 +92,11 @@ class DornNetworkConfig:
     """timm architecture that can be built with an output stride of 8. "resnet101s" begins as DORN does, with three
     convolutions of 64, 64 and 128 channels."""
     n_intervals: int = 68
-    """Intervals of depth. 68: NYU. 71: KITTI."""
+    """Number of intervals of depth. 68: NYU. 71: KITTI."""
     rates: tuple[int, int, int] = (4, 8, 12)
-    """Dilations of the scene module. NYU's; KITTI's are 6, 12, 18."""
+    """Dilations of the scene module. 4, 8, 12: NYU. 6, 12, 18: KITTI."""
     pooling: int = 8
-    """Side of the averages the full-image branch begins with. 8: NYU. 16: KITTI."""
+    """Side of the averages that the full-image branch begins with. 8: NYU. 16: KITTI."""
     decode: Literal["hard", "soft"] = "hard"
     """See ``DornConfig.decode``."""
 
@@ -113,7 +114,7 @@ NetworkConfig = (
     | NewCrfsNetworkConfig
     | DornNetworkConfig
 )
-"""Every kind of baseline."""
+"""The config of any baseline's network."""
 
 NETWORK_CONFIGS: dict[str, type[NetworkConfig]] = {
     "bts": BtsNetworkConfig,

@@ -12,12 +12,15 @@ from zoedepth.errors import InputError
 
 _TYPES: dict[str, type] = {"zoedepth": ModelConfig, "baseline": BaselineConfig}
 _NAMES = {kind: name for table in (_TYPES, HEAD_CONFIGS, NETWORK_CONFIGS) for name, kind in table.items()}
-"""Config class → the ``type`` it has in files, where several could stand."""
+"""Config class → its ``type`` in files, where a field may hold one of several classes."""
 _TYPE = "type"
 
 
 def to_dict(config: Any) -> dict[str, Any]:
-    """A config dataclass as plain dicts, lists and values, ready for JSON; ``type`` says which of several it is."""
+    """Turn a config dataclass into plain dicts, lists and values, ready for JSON.
+
+    The entry ``type`` names the class where a field may hold one of several.
+    """
     tag = {_TYPE: _NAMES[type(config)]} if type(config) in _NAMES else {}
     return tag | {item.name: _plain(getattr(config, item.name)) for item in dataclasses.fields(config)}
 
@@ -32,16 +35,18 @@ ConfigType = TypeVar("ConfigType")
 
 
 def from_dict(config_type: type[ConfigType], values: dict[str, Any], *, where: str = "config") -> ConfigType:
-    """The inverse of ``to_dict``. Where ``type`` is missing, it is the oldest: ZoeDepth, with attractors.
+    """Build a config from ``to_dict``'s plain values.
+
+    Files from before there were several classes have no ``type``; they hold a ZoeDepth with attractors.
 
     Raises:
-        InputError: a field is unknown, of the wrong type, or missing without having a default; the message names it.
+        InputError: a field is unknown, has a wrong type, or is missing and has no default; the message names it.
     """
     return _build(config_type, values, where)
 
 
 def model_config_from_dict(values: Any, *, where: str = "config") -> AnyModelConfig:
-    """The config of any model, from ``to_dict``'s plain values.
+    """Build the config of any model from ``to_dict``'s plain values.
 
     Raises:
         InputError: see ``from_dict``.
@@ -50,7 +55,7 @@ def model_config_from_dict(values: Any, *, where: str = "config") -> AnyModelCon
 
 
 def _build(kind: Any, value: Any, where: str) -> Any:
-    """``value``, from JSON, as the annotated type ``kind``."""
+    """Turn ``value``, read from JSON, into the annotated type ``kind``."""
     if isinstance(kind, type) and dataclasses.is_dataclass(kind):
         return _build_dataclass(kind, value, where)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
@@ -62,7 +67,7 @@ def _build(kind: Any, value: Any, where: str) -> Any:
             raise InputError(f"{where} must have {len(kinds)} entries, not {len(value)}")
         return tuple(_build(k, v, f"{where}[{i}]") for i, (k, v) in enumerate(zip(kinds, value, strict=True)))
     if origin is Literal:
-        if not any(value == known and type(value) is type(known) for known in arguments):  # True == 1 to Python
+        if not any(value == known and type(value) is type(known) for known in arguments):  # in Python True == 1
             raise InputError(f"{where} must be one of {list(arguments)}, not {value!r}")
         return value
     if origin in (Union, types.UnionType):
@@ -72,13 +77,13 @@ def _build(kind: Any, value: Any, where: str) -> Any:
         return _build(kinds[0] if len(kinds) == 1 else _chosen(kinds, value, where), value, where)
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):  # a bool is an int to Python
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):  # in Python a bool is an int
         raise InputError(f"{where} must be {kind.__name__}, not {value!r}")
     return value
 
 
 def _chosen(kinds: list[Any], value: Any, where: str) -> Any:
-    """Which of several dataclasses a JSON object is of."""
+    """Choose the dataclass that a JSON object belongs to."""
     known = {_NAMES[kind]: kind for kind in kinds}
     if not isinstance(value, dict):
         names = " or ".join(kind.__name__ for kind in kinds)
@@ -96,11 +101,13 @@ def _build_dataclass(kind: Any, value: Any, where: str) -> Any:
         value = {name: item for name, item in value.items() if name != _TYPE}
     known = {item.name: item for item in dataclasses.fields(kind)}
     if unknown := sorted(set(value) - set(known)):
-        raise InputError(f"{where} has unknown fields {unknown}; {kind.__name__} has {sorted(known)}")
-    # Others have defaults: a field that a later version adds must default to what was done before.
+        raise InputError(
+            f"{where} has unknown fields {unknown}. {kind.__name__} has {sorted(known)}; rename or remove them."
+        )
+    # All other fields have defaults. A field added later must default to the behaviour of before.
     required = (f for f in known.values() if f.default is f.default_factory is dataclasses.MISSING)
     if missing := sorted(f.name for f in required if f.name not in value):
-        raise InputError(f"{where} lacks the fields {missing}")
+        raise InputError(f"{where} lacks the fields {missing}, which have no default. Add them.")
     hints = typing.get_type_hints(kind)
     built = {name: _build(hints[name], item, f"{where}.{name}") for name, item in value.items()}
     return kind(**built)

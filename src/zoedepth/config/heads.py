@@ -1,6 +1,7 @@
-"""The configuration of each metric head. Nothing here imports torch.
+"""The configuration of each metric head.
 
-What the released code and the paper's other methods do differently is a value here. The heads are in ``model/heads/``.
+Each difference to the released code and to the paper's other methods is a value here. The heads are in
+``model/heads/``. This file does not import torch.
 """
 
 from dataclasses import dataclass
@@ -14,13 +15,13 @@ class AttractorConfig:
     """The metric bins module (paper section 3.2): seed bin centers, attractor layers, probabilities."""
 
     n_bins: int = 64
-    """Bin centers at every pixel (N_total)."""
+    """Number of bin centers at every pixel (N_total)."""
     n_attractors: tuple[int, int, int, int] = (16, 8, 4, 1)
-    """Attractor points at strides 16, 8, 4, 2."""
+    """Number of attractor points at strides 16, 8, 4, 2."""
     kind: Literal["inverse", "exponential"] = "inverse"
-    """Attractor: Eq. 2 or Eq. 3."""
+    """The attractor's equation: Eq. 2 or Eq. 3."""
     reduce: Literal["sum", "mean"] = "sum"
-    """The pulls of the attractors are summed (paper) or averaged (released)."""
+    """sum: the pulls of the attractors are added up (paper). mean: they are averaged (released)."""
     alpha: float = 300.0
     """Strength of the attractors: a center is out of reach beyond about alpha ** (-1 / gamma)."""
     gamma: float = 2.0
@@ -28,11 +29,12 @@ class AttractorConfig:
     centers: Literal["softplus", "normed"] = "softplus"
     """softplus: metres, positive, unbounded. normed: fractions of the depth range of the domain."""
     attractor_ratio: bool = True
-    """normed only: an attractor is a0 / (a0 + a1) of a pair (intended), or a0 alone (what the released code does)."""
+    """normed only. True: an attractor is a0 / (a0 + a1) of a pair, as intended. False: a0 alone, as in the released
+    code."""
     relative_input: bool = True
-    """The relative depth is given to the probabilities beside the decoder features (paper)."""
+    """True: the probabilities see the relative depth beside the decoder features (paper)."""
     probability: Literal["log-binomial", "softmax"] = "log-binomial"
-    """How the probabilities of the bins are predicted: Eq. 4, or a softmax over free logits (ablation)."""
+    """Probabilities of the bins: Eq. 4, or a softmax over free logits (ablation)."""
     bottleneck_factor: int = 2
     """The hidden width of the probability predictor is its input width divided by this."""
     min_temperature: float = 0.0212
@@ -46,27 +48,28 @@ class AttractorConfig:
     seed_width: int = 256
     """Hidden channels of the seed bin regressor."""
     initial_centers: Literal["random", "geometric"] = "random"
-    """random: as released. geometric (softplus only): a new head starts with centers spread geometrically over its
-    depth range instead of all at 0.7 m, which matters when training is short."""
+    """random: as released, all near 0.7 m. geometric (softplus only): the centers of a new head are spread
+    geometrically over its depth range, which matters when training is short."""
 
     def __post_init__(self) -> None:
         require(self.n_bins >= 2, "head.n_bins", "at least 2", self.n_bins)
         require(len(self.n_attractors) == 4, "head.n_attractors", "four numbers, coarse to fine", self.n_attractors)
-        require(min(self.n_attractors) >= 1, "head.n_attractors", "at least one attractor", self.n_attractors)
+        require(min(self.n_attractors) >= 1, "head.n_attractors", "numbers of at least 1", self.n_attractors)
         require(0 <= self.min_temperature < self.max_temperature, "head.min_temperature",
-                "0 <= min_temperature < max_temperature", self.min_temperature)  # fmt: skip
+                f"at least 0 and less than max_temperature, {self.max_temperature}", self.min_temperature)  # fmt: skip
         require(self.centers == "softplus" or self.initial_centers == "random", "head.initial_centers",
-                "'random' for normed centers", self.initial_centers)  # fmt: skip
+                "'random' where head.centers is 'normed'", self.initial_centers)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class SplitterConfig:
-    """LocalBins: seed bins at the bottleneck, each split in two at every level (Bhat et al. 2022)."""
+    """LocalBins: seed bins at the bottleneck, each split into smaller ones at every level (Bhat et al. 2022)."""
 
     n_seed_bins: int = 4
-    """Bins at the bottleneck; ``factor ** 4`` times as many at stride 2. 4: ZoeDepth's 64. 16: 256, native."""
+    """Number of bins at the bottleneck; there are ``factor ** 4`` times as many at stride 2. 4: ZoeDepth's 64 bins.
+    16: the native 256."""
     factor: int = 2
-    """Bins that each bin is split into at a level (paper Table 5: 2)."""
+    """Number of bins that each bin is split into at a level (paper Table 5: 2)."""
     embedding_width: int = 128
     """Channels of the bin embeddings."""
     hidden_width: int = 128
@@ -74,9 +77,9 @@ class SplitterConfig:
     seed_width: int = 256
     """Hidden channels of the seed bin regressor."""
     relative_input: bool = True
-    """The relative depth is given to the probabilities beside the decoder features."""
+    """True: the probabilities see the relative depth beside the decoder features."""
     probability: Literal["log-binomial", "softmax"] = "softmax"
-    """How the probabilities are predicted: LocalBins' softmax, or ZoeDepth's log-binomial (paper Table 5)."""
+    """Probabilities of the bins: LocalBins' softmax, or ZoeDepth's log-binomial (paper Table 5)."""
     bottleneck_factor: int = 2
     """The hidden width of the probability predictor is its input width divided by this."""
     min_temperature: float = 0.0212
@@ -84,8 +87,8 @@ class SplitterConfig:
     max_temperature: float = 50.0
     """Log-binomial only: upper bound of its temperature."""
     n_windows: int = 0
-    """While training: random windows of each of five sizes whose bins are predicted as well, for LocalBins' loss of
-    local histograms. 0: none (what the paper does, for memory). 200: native."""
+    """Number of random windows of each of five sizes in training, whose bins are predicted too, for LocalBins' loss of
+    local histograms. 0: none (the paper's choice, for memory). 200: native."""
 
     def __post_init__(self) -> None:
         require(self.n_seed_bins >= 2, "head.n_seed_bins", "at least 2", self.n_seed_bins)
@@ -98,12 +101,12 @@ class PixelBinsConfig:
     """PixelBins: bin widths and probabilities at every pixel, from one map (Sarwari et al. 2021)."""
 
     n_bins: int = 64
-    """Bins at every pixel. Native: 128."""
+    """Number of bins at every pixel. Native: 128."""
     width: int = 128
-    """Channels of the map that both are predicted from."""
+    """Channels of the map from which both are predicted."""
     exact: bool = False
-    """True: as published, ReLU + 1e-6 and edges that begin one width late. Its widths can die. False: softplus + 1e-3
-    and edges from the nearest to the farthest depth."""
+    """True: as published, ReLU + 1e-6 and edges that begin one width late; its widths can die, with gradients of 0 for
+    ever. False: softplus + 1e-3 and edges from the nearest to the farthest depth."""
 
     def __post_init__(self) -> None:
         require(self.n_bins >= 2, "head.n_bins", "at least 2", self.n_bins)
@@ -114,15 +117,15 @@ class DornConfig:
     """DORN: ordinal regression over intervals of depth (Fu et al. 2018)."""
 
     n_intervals: int = 80
-    """Intervals between the nearest and the farthest depth (K)."""
+    """Number of intervals between the nearest and the farthest depth (K)."""
     spacing: Literal["increasing", "uniform"] = "increasing"
-    """increasing: widths grow in proportion to depth (SID). uniform: all alike (UD)."""
+    """increasing: widths grow in proportion to depth (SID). uniform: all widths are equal (UD)."""
     decode: Literal["hard", "soft"] = "hard"
     """hard: the middle of the interval up to which the probabilities are at least 0.5 (DORN). soft: the expectation."""
     width: int = 128
-    """Hidden channels; those of each branch of the scene module, where DORN has 512."""
+    """Hidden channels; with ``scene``, the channels of each branch of the scene module, where DORN has 512."""
     scene: bool = False
-    """Predict from the bottleneck through DORN's five-branch scene module, in place of from the finest level."""
+    """True: predict from the bottleneck, through DORN's five-branch scene module. False: from the finest level."""
 
     def __post_init__(self) -> None:
         require(self.n_intervals >= 2, "head.n_intervals", "at least 2", self.n_intervals)
@@ -137,13 +140,13 @@ class NewCrfsConfig:
     attention_heads: tuple[int, int, int, int] = (32, 16, 8, 4)
     """Attention heads at strides 32, 16, 8, 4."""
     window: int = 7
-    """Side of the windows attention looks into."""
+    """Side of the windows of attention, tokens."""
     n_blocks: int = 2
-    """Attention blocks at each level, every second one shifted by half a window."""
+    """Number of attention blocks at each level; every second one is shifted by half a window."""
     seed_width: int = 512
     """Channels of the first value at stride 32."""
     pyramid_pooling: bool = False
-    """The first value is what pyramid pooling makes of the bottleneck (native), in place of one convolution."""
+    """True: pyramid pooling makes the first value of the bottleneck (native). False: one convolution does."""
 
     def __post_init__(self) -> None:
         require_crf_widths(self.widths, self.attention_heads, self.seed_width, "head")
@@ -158,9 +161,9 @@ class NaiveConfig:
     width: int = 32
     """Hidden channels."""
     relative_input: bool = True
-    """The relative depth is given beside the decoder features."""
+    """True: the head sees the relative depth beside the decoder features."""
     initial_depth: float = 2.0
-    """Metres: what a new head says, so that the first steps do not explode."""
+    """Metres: the depth that a new head predicts, so that the first steps do not explode."""
 
     def __post_init__(self) -> None:
         require(self.initial_depth > 0, "head.initial_depth", "more than 0 metres", self.initial_depth)
@@ -171,19 +174,19 @@ class AdaBinsConfig:
     """AdaBins: bins of the whole image by a small vision transformer (Bhat et al. 2021). Not in the paper's Table 2."""
 
     n_bins: int = 64
-    """Bins of an image. Native: 256."""
+    """Number of bins of an image. Native: 256."""
     width: int = 128
     """Channels of tokens, queries and features."""
     patch: int = 16
-    """Side of a token, pixels of the finest level; at most 16, its side in the smallest photo."""
+    """Side of a patch, pixels of the finest level. At most 16, the side of that level for the smallest photo."""
     n_layers: int = 4
-    """Transformer layers."""
+    """Number of transformer layers."""
     attention_heads: int = 4
-    """Heads of each layer."""
+    """Number of attention heads of each layer."""
     feedforward_width: int = 1024
     """Hidden channels of each layer's MLP."""
     n_queries: int = 128
-    """Tokens, after the first, that are used as 1x1 kernels."""
+    """Number of tokens, after the first, that are used as 1x1 kernels."""
 
     def __post_init__(self) -> None:
         require(self.n_bins >= 2, "head.n_bins", "at least 2", self.n_bins)
@@ -202,7 +205,7 @@ class BtsConfig:
     """Hidden channels of the last convolution."""
 
     def __post_init__(self) -> None:
-        require(min(self.widths) >= 8, "head.widths", "at least 8 channels", self.widths)
+        require(min(self.widths) >= 8, "head.widths", "numbers of at least 8", self.widths)
 
 
 HeadConfig = (
@@ -215,7 +218,7 @@ HeadConfig = (
     | AdaBinsConfig
     | BtsConfig
 )
-"""Every kind of metric head."""
+"""The config of any metric head."""
 
 HEAD_CONFIGS: dict[str, type[HeadConfig]] = {
     "attractor": AttractorConfig,
