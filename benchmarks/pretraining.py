@@ -1,10 +1,10 @@
-"""Is stage 2 better after stage 1? Two trainings of it with equal steps, from ImageNet weights and from stage 1.
+"""Measure if stage 2 is better after stage 1: train it for equal steps from ImageNet weights and from stage 1.
 
     python -m benchmarks.pretraining --indoor nyu --outdoor kitti --relative relative --synthetic synthetic:all \\
         --test nyu/test.csv --out runs/pretraining
 
-Small encoder (that of ``zoed-lite``) at 160x224, for every seed. Prints a Markdown table; what is finished in ``--out``
-is not computed again. ``--synthetic`` adds rendered scenes, or shards of them, to stage 1.
+The model is ``zoed-lite`` at 160x224, trained once for every seed. Prints a Markdown table. Trainings that are finished
+in ``--out`` are not repeated. ``--synthetic`` adds rendered scenes, or shards of them, to stage 1.
 """
 
 import json
@@ -31,7 +31,7 @@ def main(
     task_weights: str = "images",
     seeds: tuple[int, ...] = (43, 44),
 ) -> None:
-    """Train, evaluate, print."""
+    """Train and evaluate all of them, and print the table."""
     found: dict[str, list[dict[str, float]]] = {"stage 2 alone": [], "stage 1, then stage 2": []}
     for seed in seeds:
         first = ["--data", f"indoor={indoor}", f"outdoor={outdoor}", f"relative={relative}"]

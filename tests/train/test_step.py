@@ -144,9 +144,11 @@ def infinite_slope(run: Run) -> Tensor:
 def test_gradient_that_is_not_finite_stops_before_it_reaches_the_weights(start_run: StartRun) -> None:
     run = start_run()
     before = weights(run)
-    backward(run, infinite_slope(run), next(run.batches), complete=True)
-    with pytest.raises(TrainingError, match=r"norm of the gradients is nan at step 1; .*'a\.jpg', 'b\.jpg'"):
-        take_step(run, ["a.jpg", "b.jpg"])
+    batches = [next(run.batches), next(run.batches)]
+    backward(run, infinite_slope(run), batches[0], complete=True)
+    with pytest.raises(TrainingError, match="norm of the gradients is nan at step 1") as raised:
+        take_step(run, batches)
+    assert all(name in str(raised.value) for batch in batches for name in batch.names)
     assert run.state.step == 0
     assert all(torch.equal(value, before[name]) for name, value in weights(run).items())
 
@@ -154,7 +156,7 @@ def test_gradient_that_is_not_finite_stops_before_it_reaches_the_weights(start_r
 def test_in_float16_the_scaling_of_the_loss_deals_with_infinite_gradients(start_run: StartRun) -> None:
     run = start_run()
     backward(run, infinite_slope(run), next(run.batches), complete=True)
-    take_step(replace(run, config=replace(run.config, precision="16-mixed")), ["a.jpg"])
+    take_step(replace(run, config=replace(run.config, precision="16-mixed")), [])
     assert run.state.step == 1
 
 

@@ -1,4 +1,4 @@
-"""Recipes: functions that return the full configuration of a training run. ``RECIPES`` is the only list of them."""
+"""Recipes: functions that return the full configuration of a training. ``RECIPES`` lists them all."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,7 +25,7 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "relative_nk": relative.nk,
     "relative_n": relative.n,
     "relative_k": relative.k,
-    # Stage 2: the paper's model table, its X-NK, and its backbones.
+    # Stage 2: the paper's model table, its X-NK, and its comparison of encoders.
     **_named(metric.nyu, "zoed-x-n", "zoed-n-n", "zoed-nk-n", "zoed-m12-n"),
     **_named(metric.kitti, "zoed-x-k", "zoed-k-k", "zoed-nk-k", "zoed-m12-k"),
     **_named(
@@ -37,9 +37,9 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
         "zoed-m12-n-swin-l", "zoed-m12-n-swin2-t", "zoed-m12-n-swin2-b", "zoed-m12-n-swin2-l", "zoed-m12-n-beit-b",
         "zoed-m12-n-beit-l-512", "zoed-m12-n-efficientnet-b5",
     ),
-    # The paper's Tables 2, 5 and 6, and its baselines; and all of them, small, on equal terms.
+    # The paper's Tables 2, 5 and 6, and its baselines; then all heads and baselines, small, on equal terms.
     **ABLATIONS,
     **BASELINE_RECIPES,
     **COMPARISON,
 }  # fmt: skip
-"""Name on the command line → function."""
+"""Name on the command line → function that returns the configuration."""

@@ -1,8 +1,8 @@
-"""The paper's comparisons of heads and routers, row by row, on one base: its Tables 2, 5 and 6.
+"""The paper's comparisons of heads and routers, a recipe for each row of its Tables 2, 5 and 6.
 
 ``zoedepth train table_2_newcrfs --data nyu=... kitti=... --out runs/newcrfs --init runs/m12/step_270000``, and likewise
-for the others; those of Table 5 take NYU alone. ``--init`` is the relative pre-training M12 (``imagenet`` for a row X).
-docs/paper.md says which recipe is which row, and what the paper has there. Not run: there was no GPU, and no such data.
+for the others; Table 5 takes NYU alone. ``--init`` is the relative pre-training M12 (``imagenet`` for a row X).
+docs/paper.md says which recipe is which row, and gives the paper's number. Not run: there was no GPU and no such data.
 """
 
 from collections.abc import Callable
@@ -26,32 +26,32 @@ from zoedepth.train.config import SourceConfig, TrainConfig
 
 
 def table_2(head: HeadConfig) -> TrainConfig:
-    """A head on the shared base, one for NYU and KITTI together, to 80 m: the rows "modified to use our DPT-BEiT-L"."""
+    """Return the recipe of one head for NYU and KITTI together, to 80 m: a row "modified to use our DPT-BEiT-L"."""
     recipe = metric.nyu_and_kitti("zoed-m12-nk-one-head")
     return replace(recipe, model=replace(PRESETS["zoed-m12-nk-one-head"], head=head))
 
 
 def table_5(head: HeadConfig) -> TrainConfig:
-    """A head in the place of that of ZoeD-M12-N, on NYU."""
+    """Return the recipe of ZoeD-M12-N on NYU with another head."""
     recipe = metric.nyu("zoed-m12-n")
     return replace(recipe, model=replace(PRESETS["zoed-n-n"], head=head))
 
 
 def table_6(router: RouterConfig) -> TrainConfig:
-    """A router between two heads, on NYU and KITTI."""
+    """Return the recipe of a router between two heads, on NYU and KITTI."""
     recipe = metric.nyu_and_kitti("zoed-nk-nk")
     auto = router.kind == "auto"
     return replace(
         recipe,
         model=replace(PRESETS["zoed-nk-nk"], router=router),
-        # R.3 sees no label: the heads learn from the mixture, and the router from the depth.
+        # R.3, the auto router, sees no label: it learns from the depth, and the heads learn from their mixture.
         domain_weight=0.0 if auto else recipe.domain_weight,
         route_by_label=not auto,
     )
 
 
 def three_heads() -> TrainConfig:
-    """One more head than the paper has: NYU, KITTI, and photos of one's own whose data says no domain, to 300 m."""
+    """Return a recipe with one head more than the paper: NYU, KITTI, and your own photos without a domain, to 300 m."""
     recipe = metric.nyu_and_kitti("zoed-nk-nk")
     model = PRESETS["zoed-nk-nk"]
     return replace(
@@ -79,4 +79,4 @@ ABLATIONS: dict[str, Callable[[], TrainConfig]] = {
     "table_6_auto": partial(table_6, RouterConfig("auto")),
     "three_heads": three_heads,
 }
-"""Name on the command line → function. (The softmax is in the paper's text beside Table 5, not in it.)"""
+"""Name on the command line → function. (The softmax stands in the paper's text beside Table 5.)"""

@@ -1,8 +1,8 @@
-"""The systems the paper compares with, as their authors trained them: on NYU (n), on KITTI (k), and on both (nk).
+"""The systems that the paper compares with, as their authors trained them: on NYU (n), on KITTI (k), on both (nk).
 
 ``zoedepth train adabins_n --data nyu=... --out runs/adabins --init imagenet``. The paper's Table 1 has those of NYU,
-Table 2 those of both. Expected, of NYU: BTS REL 0.110, AdaBins 0.103, LocalBins 0.099, NeWCRFs 0.095, DORN 0.115. Not
-run: there was no GPU, and no such data. Rates, crops and losses are those of their code; docs/paper.md has the rest.
+Table 2 those of both. Expected on NYU: BTS REL 0.110, AdaBins 0.103, LocalBins 0.099, NeWCRFs 0.095, DORN 0.115. Not
+run: there was no GPU and no such data. Rates, crops and losses are those of their code; docs/paper.md has the rest.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ _KITTI = SourceConfig(
     "kitti", crop="window", window=(352, 704), kitti_crop=True, sparse=True, brightness=(0.9, 1.1)
 )  # fmt: skip
 
-# One cycle for encoder and decoder alike: AdaBins' tenth of the rate for the encoder is overridden by the cycle's own.
+# Encoder and decoder have the same rates: AdaBins sets a tenth for the encoder, but its one-cycle overrides it.
 _CYCLE = OptimConfig(
     learning_rate=3.57e-4, encoder_factor=1.0, weight_decay=0.1, warmup=0.3, initial_division=25, final_division=100
 )
@@ -37,7 +37,7 @@ _OPTIM = {
     "adabins": _CYCLE,
     "localbins": replace(_CYCLE, warmup=0.7, initial_division=1, final_division=1e4),
     "pixelbins": replace(_CYCLE, learning_rate=2e-4, weight_decay=0.01, clip=1.0),
-    # Adam: the decay that NeWCRFs' code reads never reaches it.
+    # No weight decay: NeWCRFs' code reads one, but does not give it to Adam.
     "newcrfs": OptimConfig(
         learning_rate=2e-5,
         encoder_factor=1.0,
@@ -64,7 +64,7 @@ _BATCH = {"bts": 16, "adabins": 16, "localbins": 16, "pixelbins": 16, "newcrfs":
 
 
 def baseline(name: str, data: Literal["n", "k", "nk"]) -> TrainConfig:
-    """One baseline on one of the three."""
+    """Return the recipe of a baseline on one of the three."""
     nyu, kitti = _NYU, _KITTI
     if name == "localbins":
         nyu = replace(nyu, window=(480, 640), rotate_degrees=1.0)

@@ -1,7 +1,7 @@
-"""Every head and every baseline on equal terms: one small encoder, NYU's 795 labelled training pairs, as many steps.
+"""Every head and every baseline on equal terms: one small encoder, NYU's 795 labelled training pairs, 100 steps.
 
 ``python -m benchmarks.heads --nyu nyu --out runs/heads`` trains and scores them all; docs/results.md has the table, and
-how long the trainings were. By hand: ``zoedepth train comparison --head newcrfs --data nyu=nyu --out runs/newcrfs
+the time that each training took. By hand: ``zoedepth train comparison --head newcrfs --data nyu=nyu --out runs/newcrfs
 --init imagenet``, ``zoedepth train comparison_bts --data nyu=nyu --out runs/bts --init imagenet``.
 """
 
@@ -14,11 +14,11 @@ from zoedepth.presets import BASELINES, ZOED_LITE
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
 SIZE = (160, 224)
-"""A third of NYU's sides."""
+"""(height, width): a third of NYU's."""
 
 
 def head() -> TrainConfig:
-    """A head on the DPT decoder of ``zoed-lite``; ``--head`` says which, or else its own."""
+    """Return the recipe of a head on the DPT decoder of ``zoed-lite``: the head of ``--head``, or else its own."""
     return TrainConfig(
         stage="metric",
         model=replace(ZOED_LITE, domains=(INDOOR,), size=SIZE),
@@ -33,7 +33,10 @@ def head() -> TrainConfig:
 
 
 def baseline(name: str) -> TrainConfig:
-    """A baseline with the same encoder. DORN's sides are one more: 8 n + 1. LocalBins has a tenth of its windows."""
+    """Return the recipe of a baseline with the same encoder.
+
+    DORN's sides are larger by one: they must be 8 n + 1. LocalBins has a tenth of its windows.
+    """
     preset = BASELINES[f"{name}-n"]
     size = (SIZE[0] + 1, SIZE[1] + 1) if name == "dorn" else SIZE
     network = replace(preset.network, encoder=ZOED_LITE.encoder.name)

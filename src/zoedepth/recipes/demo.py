@@ -1,4 +1,4 @@
-"""Both stages, small enough for a coffee break: rendered scenes, 96x128, a minute or two on two cores."""
+"""Both stages, small enough for a coffee break: rendered scenes of 96x128, a minute or two on two cores."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ _OPTIM = OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial
 
 
 def relative() -> TrainConfig:
-    """Stage 1. ``zoedepth demo-train`` runs it."""
+    """Return the recipe of stage 1 in ``zoedepth demo-train``."""
     return TrainConfig(
         stage="relative",
         model=_MODEL,
@@ -26,5 +26,5 @@ def relative() -> TrainConfig:
 
 
 def metric() -> TrainConfig:
-    """Stage 2, from stage 1. ``zoedepth demo-train`` runs it."""
+    """Return the recipe of stage 2 in ``zoedepth demo-train``, which starts from stage 1."""
     return replace(relative(), stage="metric", steps=120, domain_weight=1.0, ema_decay=0.95, validate_every=20)

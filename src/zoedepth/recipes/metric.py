@@ -1,16 +1,16 @@
 """Stage 2 of the paper: the models of its model table, ZoeD-{relative pre-training}-{metric fine-tuning}.
 
 ``zoedepth train zoed_m12_n --data nyu=... --out runs/zoed-m12-n --init runs/m12/step_270000``, and likewise for the
-others: ``--data`` names what comes last in the model's name, ``--init`` is the result of what comes first (``imagenet``
-for X). Five epochs of 16 images. Expected, by the paper's Table 1: ZoeD-X-N REL 0.082, ZoeD-M12-N 0.075, ZoeD-M12-NK
-0.077 on NYU. Not run: there was no GPU, and no such data.
+others: ``--data`` names the data sets of the metric fine-tuning, ``--init`` is the result of the relative pre-training
+(``imagenet`` for X). Five epochs in batches of 16. Expected on NYU, by the paper's Table 1: ZoeD-X-N REL 0.082,
+ZoeD-M12-N 0.075, ZoeD-M12-NK 0.077. Not run: there was no GPU and no such data.
 """
 
 from zoedepth.presets import PRESETS
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
 NYU_IMAGES, KITTI_IMAGES = 24_231, 23_158
-"""Lines of the lists that the released code trains on; the paper says 24 and 26 thousand."""
+"""Number of lines in the lists that the released code trains on; the paper says 24 and 26 thousand."""
 
 # Released: whole photos squeezed to the network's size, mirrored, turned by up to a degree, their colours changed.
 _NYU = SourceConfig("nyu")
@@ -18,23 +18,23 @@ _KITTI = SourceConfig("kitti", kitti_crop=True, sparse=True, brightness=(0.9, 1.
 
 
 def nyu(preset: str) -> TrainConfig:
-    """ZoeD-*-N."""
+    """Return the recipe of a ZoeD-*-N."""
     return _recipe(preset, (_NYU,), steps=5 * NYU_IMAGES // 16)
 
 
 def kitti(preset: str) -> TrainConfig:
-    """ZoeD-*-K."""
+    """Return the recipe of a ZoeD-*-K."""
     return _recipe(preset, (_KITTI,), steps=5 * KITTI_IMAGES // 16)
 
 
 def nyu_and_kitti(preset: str) -> TrainConfig:
-    """ZoeD-*-NK: batches of the two in turn, the shorter set repeated."""
+    """Return the recipe of a ZoeD-*-NK: batches of the two data sets in turn; the smaller one is repeated."""
     return _recipe(
         preset,
         (_NYU, _KITTI),
         steps=5 * 2 * (NYU_IMAGES // 16 + 1),
         optim=OptimConfig(learning_rate=2.512e-4, decoder_factor=0.1),
-        # Released: a training image takes the head the router says. Ours: that of its label.
+        # Released: a training image goes to the head that the router chooses. Ours: to the head of its label.
         route_by_label=preset != "zoed-m12-nk",
     )
 

@@ -1,7 +1,7 @@
 """Stage 1 of the paper: MiDaS's relative pre-training on twelve data sets, on NYU and KITTI, and on NYU alone.
 
-Not run: there was no GPU, and no such data. The numbers are MiDaS's (DPT section 4.1; MiDaS v3.1 section 3);
-docs/paper.md says which of them nobody has published.
+Not run: there was no GPU and no such data. The numbers are MiDaS's (DPT section 4.1; MiDaS v3.1 section 3);
+docs/paper.md says which numbers were never published.
 """
 
 import math
@@ -16,7 +16,7 @@ _CURATED = ("redweb", "hrwsi", "blendedmvs")
 _OTHERS = ("diml-indoor", "movies3d", "megadepth", "wsvd", "tartanair", "apolloscape", "irs")
 
 STEPS_OF_AN_EPOCH = 72_000 // 16
-"""DPT's epoch: 72,000 images (its text says steps, which its training time contradicts)."""
+"""Steps in an epoch of DPT: 72,000 images. (Its text says 72,000 steps, but its training time says images.)"""
 
 
 def _sources(*names: str) -> tuple[SourceConfig, ...]:
@@ -47,7 +47,7 @@ def _recipe(*names: str) -> TrainConfig:
 
 
 def m12_curated() -> TrainConfig:
-    """First half of M12: the three curated sets, NYU and KITTI, from ImageNet.
+    """Return the recipe of the first half of M12: the three curated sets, NYU and KITTI, from ImageNet.
 
     ``zoedepth train relative_m12_curated --data redweb=... hrwsi=... blendedmvs=... nyu=... kitti=... --out
     runs/m12-curated --init imagenet``
@@ -56,7 +56,7 @@ def m12_curated() -> TrainConfig:
 
 
 def m12() -> TrainConfig:
-    """Second half of M12: all twelve, from the first half.
+    """Return the recipe of the second half of M12: all twelve sets, from the first half.
 
     ``zoedepth train relative_m12 --data redweb=... (and the others) --out runs/m12 --init
     runs/m12-curated/step_270000``
@@ -65,7 +65,7 @@ def m12() -> TrainConfig:
 
 
 def nk() -> TrainConfig:
-    """NYU and KITTI, for ZoeD-NK-*.
+    """Return the recipe on NYU and KITTI, for ZoeD-NK-*.
 
     ``zoedepth train relative_nk --data nyu=... kitti=... --out runs/nk --init imagenet``
     """
@@ -73,10 +73,16 @@ def nk() -> TrainConfig:
 
 
 def n() -> TrainConfig:
-    """NYU alone, for ZoeD-N-N: ``zoedepth train relative_n --data nyu=... --out runs/n --init imagenet``."""
+    """Return the recipe on NYU alone, for ZoeD-N-N.
+
+    ``zoedepth train relative_n --data nyu=... --out runs/n --init imagenet``
+    """
     return _recipe("nyu")
 
 
 def k() -> TrainConfig:
-    """KITTI alone, for ZoeD-K-K: ``zoedepth train relative_k --data kitti=... --out runs/k --init imagenet``."""
+    """Return the recipe on KITTI alone, for ZoeD-K-K.
+
+    ``zoedepth train relative_k --data kitti=... --out runs/k --init imagenet``
+    """
     return _recipe("kitti")

@@ -1,4 +1,4 @@
-"""``zoed-lite``, the model shipped in the package."""
+"""Both stages of ``zoed-lite``, the model in the package."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ _SYNTHETIC = replace(_INDOOR, name="synthetic", weight=3)
 
 
 def relative() -> TrainConfig:
-    """Stage 1: from ImageNet weights, on depth and disparity together.
+    """Return the recipe of stage 1: from ImageNet weights, on depth and disparity together.
 
     ``zoedepth train zoed_lite_relative --data indoor=nyu outdoor=kitti relative=relative --out runs/relative --init
     imagenet``: 17 minutes on two cores (AVX-512, AMX); the loss ends near 0.41. ``synthetic=synthetic:all`` adds
@@ -38,7 +38,7 @@ def relative() -> TrainConfig:
 
 
 def metric() -> TrainConfig:
-    """Stage 2: from stage 1.
+    """Return the recipe of stage 2, which starts from stage 1.
 
     ``zoedepth train zoed_lite --data indoor=nyu outdoor=kitti --out runs/lite --init runs/relative/step_000250``: 64
     minutes on two cores (AVX-512, AMX), busy with other work as well. NYU test REL 0.179, delta1 0.742 (795 training

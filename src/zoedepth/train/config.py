@@ -174,8 +174,8 @@ class TrainConfig:
                 raise InputError(f"{name} must be at least 1; it is {getattr(self, name)}")
         if self.stage == "relative" and not isinstance(self.model, ModelConfig):
             raise InputError("a baseline has no relative depth to train: stage 1 is for ZoeDepth, use stage 'metric'")
-        windows = {source.window for source in self.sources if source.crop == "window"} - {None}
-        if any(side % self.model.multiple for window in windows if window for side in window):
+        windows = {source.window for source in self.sources if source.crop == "window" and source.window is not None}
+        if any(side % self.model.multiple for window in windows for side in window):
             raise InputError(
                 f"the sides of a source's window must be multiples of {self.model.multiple} for this model; they are "
                 f"{sorted(windows)}"

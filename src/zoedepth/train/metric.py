@@ -47,7 +47,7 @@ def train_metric(
         while run.state.step < config.steps:
             begin_step(run)
             numbers: dict[str, float] = {}
-            names: list[str] = []
+            batches: list[Batch] = []
             for i in range(config.accumulate):
                 batch = next(run.batches)
                 # Forward.
@@ -58,11 +58,11 @@ def train_metric(
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
                 add_means(numbers, terms, config.accumulate)
-                names += batch.names
+                batches.append(batch)
             # Step.
-            numbers["gradient_norm"] = take_step(run, names)
+            numbers["gradient_norm"] = take_step(run, batches)
             # Report.
-            report(run, numbers, batch)
+            report(run, numbers, batches[-1])
         return last_checkpoint(run)
 
 

@@ -61,7 +61,7 @@ def train_relative(
         while run.state.step < config.steps:
             begin_step(run)
             numbers: dict[str, float] = {}
-            names: list[str] = []
+            batches: list[Batch] = []
             for i in range(config.accumulate):
                 batch = next(run.batches)
                 # Forward.
@@ -73,11 +73,11 @@ def train_relative(
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
                 add_means(numbers, _numbers(tasks, n_images, weights, run), config.accumulate)
-                names += batch.names
+                batches.append(batch)
             # Step.
-            numbers["gradient_norm"] = take_step(run, names)
+            numbers["gradient_norm"] = take_step(run, batches)
             # Report.
-            report(run, numbers, batch)
+            report(run, numbers, batches[-1])
         return last_checkpoint(run)
 
 

@@ -16,7 +16,7 @@ from zoedepth.train.run import Run
 
 def begin_step(run: Run) -> None:
     """Set the rates of this step, and put the model into training mode."""
-    set_rates(run.optimizer, run.state.step, run.config.steps, run.config.optim)
+    set_rates(run.optimizer.optimizer, run.state.step, run.config.steps, run.config.optim)
     run.state.model.train()
     if run.config.freeze_batch_norm:
         freeze_batch_norm(run.state.model.encoder)
@@ -35,17 +35,17 @@ def backward(run: Run, loss: Tensor, batch: Batch, *, complete: bool) -> None:
         TrainingError: the loss is not finite; the weights are as they were.
     """
     if not math.isfinite(loss.item()):
-        raise _not_finite("loss", loss.item(), run, batch.names)
+        raise _not_finite("loss", loss.item(), run, [batch])
     with run.fabric.no_backward_sync(run.network, enabled=not complete):
         run.fabric.backward(loss / run.config.accumulate)
 
 
-def take_step(run: Run, names: Sequence[str]) -> float:
+def take_step(run: Run, batches: Sequence[Batch]) -> float:
     """Clip the gradients, change the weights and their moving average, and count the step.
 
     Args:
         run: the run.
-        names: the images of the step, for the error.
+        batches: the batches of the step; an error names their images.
 
     Returns:
         The norm of the gradients before they were clipped.
@@ -59,7 +59,7 @@ def take_step(run: Run, names: Sequence[str]) -> float:
     norm = cast(Tensor, clipped).item()
     # In float16 the scaling of the loss meets infinite gradients now and then, and skips the step by itself.
     if resolve(run.config.precision) != "16-mixed" and not math.isfinite(norm):
-        raise _not_finite("norm of the gradients", norm, run, names)
+        raise _not_finite("norm of the gradients", norm, run, batches)
     run.optimizer.step()
     run.optimizer.zero_grad()
     if run.state.ema is not None:
@@ -82,8 +82,9 @@ def freeze_batch_norm(model: nn.Module) -> None:
             module.eval()
 
 
-def _not_finite(name: str, value: float, run: Run, images: Sequence[str]) -> TrainingError:
+def _not_finite(name: str, value: float, run: Run, batches: Sequence[Batch]) -> TrainingError:
+    images = [image for batch in batches for image in batch.names]
     return TrainingError(
-        f"the {name} is {value} at step {run.state.step + 1}; the images were {list(images)}. Check their depth, or "
+        f"the {name} is {value} at step {run.state.step + 1}; the images were {images}. Check their depth, or "
         "lower optim.learning_rate. The last checkpoint is intact"
     )
