@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from zoedepth.batch import Outcome, Photo, Request, cpu_count, find_photos, predict_all, predict_photo, share_cores
+from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
 from zoedepth.errors import InputError
 from zoedepth.images import read_image, to_image
 from zoedepth.outputs import OUTPUTS, Options
@@ -306,9 +306,12 @@ class TestPredictAll:
         assert written == {f"{stem}{end}" for stem in stems for end in ("_depth.png", "_preview.jpg", ".json")}
 
 
-@pytest.mark.parametrize("workers", [1, 2, 1000])
-def test_forwards_side_by_side_share_the_cores(workers: int) -> None:
+@pytest.mark.parametrize(("workers", "expected"), [(2, 3), (4, 1), (1000, 1)])
+def test_forwards_side_by_side_share_the_cores(monkeypatch: pytest.MonkeyPatch, workers: int, expected: int) -> None:
+    monkeypatch.setattr("zoedepth.batch.cpu_count", lambda: 6)
     threads = torch.get_num_threads()
+    with share_cores(1):
+        assert torch.get_num_threads() == threads
     with share_cores(workers):
-        assert torch.get_num_threads() == (threads if workers == 1 else max(1, cpu_count() // workers))
+        assert torch.get_num_threads() == expected
     assert torch.get_num_threads() == threads

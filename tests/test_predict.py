@@ -211,7 +211,7 @@ def test_overshoot_stays_positive() -> None:
     """Bicubic resizing of a step from far to near would dip below zero."""
 
     class Step(Brightness):
-        def forward(pixels: Tensor, **options: object) -> DepthOutput:
+        def forward(self, pixels: Tensor, **options: object) -> DepthOutput:
             output = super().forward(pixels, **options)
             return output._replace(depth=torch.where(pixels[:, :1] > 0.5, 80.0, 1e-3))
 
@@ -253,7 +253,7 @@ def test_copies_that_disagree_add_to_the_std() -> None:
     class Drifting(Brightness):
         """Adds 0 m at the left and 1 m at the right, so that the mirrored copy disagrees at the edges."""
 
-        def forward(pixels: Tensor, **options: object) -> DepthOutput:
+        def forward(self, pixels: Tensor, **options: object) -> DepthOutput:
             output = super().forward(torch.zeros_like(pixels), **options)
             drift = torch.linspace(0, 1, pixels.shape[-1]).expand_as(output.depth)
             return output._replace(depth=output.depth + drift, std=torch.zeros_like(output.depth))

@@ -55,7 +55,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Request:
-    """What to make of every photo.
+    """The files to make of every photo, and how.
 
     Raises:
         InputError: an output is unknown or cannot be made, or an option needs metres where there are none.
@@ -99,15 +99,15 @@ class Request:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a photo: files and their sidecar, or a failure."""
+    """The result for one photo: files and their sidecar, or a failure."""
 
     photo: Photo
     sidecar: Mapping[str, object] = field(default_factory=dict)
-    """What stands in the sidecar; empty after a failure."""
+    """The content of the sidecar; empty after a failure."""
     notes: tuple[str, ...] = ()
-    """What the user should hear about the files, see ``Written``."""
+    """Sentences for the user about the files, see ``Written``."""
     failure: str | None = None
-    """What went wrong, with the path of the photo; None where all is well."""
+    """The path of the photo and the error; None where all is well."""
 
 
 def find_photos(sources: Iterable[str], out: Path) -> Found:
@@ -194,7 +194,7 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
 def predict_all(
     photos: Sequence[Photo], predictor: "Predictor", request: Request, *, workers: int = 1
 ) -> Iterator[Outcome]:
-    """Predict ``workers`` photos at a time, and yield what became of each, in the order of the photos.
+    """Predict ``workers`` photos at a time, and yield their outcomes in the order of the photos.
 
     A photo that fails does not stop the others. When the work is interrupted or the iterator is closed, photos that
     have begun are finished, so that no file is left half written; after a KeyboardInterrupt those are still yielded
@@ -203,7 +203,7 @@ def predict_all(
     Args:
         photos: photos whose files do not clash, from ``find_photos``.
         predictor: used by all workers at the same time.
-        request: what to make of each photo.
+        request: the files to make of each photo.
         workers: photos computed at the same time, each in a thread. See ``share_cores``.
     """
     inputs = {os.path.abspath(photo.path) for photo in photos}

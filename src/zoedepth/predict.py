@@ -70,9 +70,9 @@ class DepthMap:
     def save(self, path: str | Path, *, scale: float | None = None) -> None:
         """Write the depth in the format of the suffix, whole or not at all.
 
-        .png holds 16 bits, with the scale in its text chunks (``zoedepth.read_depth`` reads it back). .npy holds float32
-        metres. .npz holds the same as ``depth``, with ``std`` and ``confidence`` beside it. .jpg, .jpeg and .webp hold
-        the preview, a picture.
+        .png holds 16 bits, with the scale in its text chunks (``zoedepth.read_depth`` reads it back). .npy holds
+        float32 metres. .npz holds the same as ``depth``, with ``std`` and ``confidence`` beside it. .jpg, .jpeg and
+        .webp hold the preview, a picture.
 
         Args:
             path: where to write; missing folders are made.

@@ -1,4 +1,4 @@
-"""What happens to a photo happens to its camera: cropping, resizing and mirroring commute with projection."""
+"""Cropping, resizing and mirroring a photo, with its camera, commute with projection."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every kind of file keeps to. A new kind is in ``OUTPUTS`` and inherits these tests."""
+"""Rules for every kind of file. A new kind is in ``OUTPUTS`` and inherits these tests."""
 
 from pathlib import Path
 

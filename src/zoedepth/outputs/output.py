@@ -68,7 +68,7 @@ class Options:
 
 @dataclass(frozen=True)
 class Written:
-    """What is worth saying about a file that was written."""
+    """The things worth saying about a file that was written."""
 
     facts: Mapping[str, object] = field(default_factory=dict)
     """Values for the sidecar, without which a program could not read the file right."""
@@ -83,7 +83,7 @@ class Output:
     ending: str
     """The end of its file's name, e.g. "_depth.png" for photo_depth.png."""
     summary: str
-    """What the file holds, for a line of help, e.g. "metres as a 16-bit PNG"."""
+    """The content of the file, for a line of help, e.g. "metres as a 16-bit PNG"."""
     write: Callable[[Path, Maps, Options], Written]
     """Write the file, whole or not at all (``images.atomic_path``)."""
     suffixes: tuple[str, ...] = ()
