@@ -115,7 +115,9 @@ def test_what_is_no_file_is_not_opened(tmp_path: Path):
 @pytest.mark.parametrize("weights", [{"weight": torch.zeros(3)}, {"layer1.0.conv1.weight": torch.zeros(1)}], ids=str)
 def test_weights_of_something_else_are_refused(tmp_path: Path, weights: dict):
     save_file(weights, tmp_path / "file.safetensors")
-    with pytest.raises(InputError, match=rf"file.safetensors: .* weights of no ZoeDepth: .*'{next(iter(weights))}'"):
+    with pytest.raises(
+        InputError, match=rf"file.safetensors: .* not the weights of a known model.*'{next(iter(weights))}'"
+    ):
         read_checkpoint(tmp_path / "file.safetensors")
 
 
@@ -176,7 +178,7 @@ def test_size_of_photos_is_that_of_the_preprocessor(tmp_path: Path):
 def test_damaged_config_is_named(tmp_path: Path, name: str, content: bytes):
     folder = write(tmp_path, "huggingface")
     (folder / name).write_bytes(content)
-    with pytest.raises(InputError, match=rf"theirs/model.safetensors: .*theirs/{name} (is not valid|must hold)"):
+    with pytest.raises(InputError, match=rf"theirs/model.safetensors: .*theirs/{name}: not a JSON object"):
         read_checkpoint(folder)
 
 
@@ -297,7 +299,10 @@ def test_loaded_model_computes_the_same(tmp_path: Path, layout: Layout):
     pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     expected = model_of(tiny("k"), source="twin")(pixels).depth
     assert expected.std() > 1e-3, "a constant proves nothing"
-    assert torch.equal(load_model(write(tmp_path, layout, tiny("k")))(pixels).depth, expected)
+    model = load_model(write(tmp_path, layout, tiny("k")))
+    assert same(model.state_dict(), model_of(tiny("k"), source="twin").state_dict()), "files keep every bit"
+    # Sums may be rounded otherwise: weights that lie elsewhere in memory can take another path of the processor.
+    torch.testing.assert_close(model(pixels).depth, expected, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
@@ -368,10 +373,10 @@ def test_files_are_readable_as_other_new_files(tmp_path: Path, layout: Layout):
         ("original", "model", "ends with .pt"),
         ("original", "model.safetensors", "ends with .pt"),
         ("original", "model.bin", "ends with .pt"),
-        ("zoedepth", "model.pt", "is a folder, whose name must not end with .pt"),
-        ("zoedepth", "model.pth", "is a folder, whose name must not end with .pth"),
-        ("huggingface", "model.pt", "is a folder, whose name must not end with .pt"),
-        ("huggingface", "model.safetensors", "is a folder, whose name must not end with .safetensors"),
+        ("zoedepth", "model.pt", "is a folder: give a name that does not end with .pt"),
+        ("zoedepth", "model.pth", "is a folder: give a name that does not end with .pth"),
+        ("huggingface", "model.pt", "is a folder: give a name that does not end with .pt"),
+        ("huggingface", "model.safetensors", "is a folder: give a name that does not end with .safetensors"),
     ],
 )
 def test_suffix_of_another_layout_is_refused(tmp_path: Path, layout: Layout, name: str, message: str):

@@ -1,4 +1,4 @@
-"""Models for other programs: ONNX, OpenVINO, torch.export. ``zoedepth.load_model`` runs the files of the first two."""
+"""Write models for other programs: ONNX, OpenVINO, torch.export. ``zoedepth.load_model`` runs the first two."""
 
 from zoedepth.export.write import export_model
 from zoedepth.weights.exported import load_exported

@@ -1,4 +1,4 @@
-"""The model as other programs get it: named tensors in and out, and every image its own head in the graph."""
+"""The model in the form that is exported: named tensors in and out, and a head for each image inside the graph."""
 
 import copy
 from collections.abc import Sequence
@@ -21,25 +21,32 @@ from zoedepth.weights.tensors import Exported
 
 
 class ExportModel(nn.Module):
-    """A model without decisions that depend on values, which no exporter can follow.
+    """Model without decisions that depend on values, because no exporter can follow them.
 
-    All heads see all images; of what their weights say, each image's own is picked before more is computed of it.
+    The weights of all heads are applied to all images. Then each image keeps the outputs of its own head, before
+    anything else is computed from them.
 
     Raises:
-        InputError: a model without metric heads, or one whose router must be told the domain or votes over the batch.
+        InputError: the model has no metric heads, or its router must be told the domain or votes over the batch.
     """
 
     def __init__(self, model: DepthModel) -> None:
         super().__init__()
         config = model.config
         if not config.domains:
-            raise InputError("a model without metric heads cannot be exported: its relative depth has no unit")
+            raise InputError(
+                "a model without metric heads cannot be exported: its relative depth has no unit. Train heads on it"
+            )
         if isinstance(model, ZoeDepth) and len(config.domains) > 1:
             if not isinstance(model.router, TrainedRouter):
-                raise InputError("a model with a labeled router cannot be exported: nothing in it chooses the head")
+                raise InputError(
+                    "a model with a labeled router cannot be exported: it cannot choose the head. Train a router"
+                )
             if model.router.by_batch:
-                raise InputError("a router that votes over the batch cannot be exported: load without batch-vote")
-        # A copy that shares the weights: the caller's model stays as it is.
+                raise InputError(
+                    "a router that votes over the batch cannot be exported: load the model without compat batch-vote"
+                )
+        # The copy shares the weights. The caller's model stays as it is.
         self.model = copy.deepcopy(model, {id(p): p for p in model.parameters()})
         for module in list(self.model.modules()):
             for name, child in module.named_children():
@@ -49,13 +56,13 @@ class ExportModel(nn.Module):
     def forward(
         self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
     ) -> tuple[Tensor, ...]:
-        """The fields of ``Exported`` that there are, in order."""
+        """Compute the fields of ``Exported`` in order, without those that the model does not have."""
         return tuple(x for x in self.outputs(pixel_values, domain) if x is not None)
 
     def outputs(
         self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
     ) -> Exported:
-        """By name."""
+        """Compute the outputs by name."""
         model, size = self.model, pixel_values.shape[-2:]
         if not isinstance(model, ZoeDepth):
             found = model(pixel_values, return_std=True)
@@ -72,7 +79,7 @@ class ExportModel(nn.Module):
 
 
 def routed(heads: list[nn.Module], features: Any, domain: Int[Tensor, " batch"]) -> HeadOutput:
-    """What each image's own head says, where all heads see all images."""
+    """Apply all heads to all images, and return for each image the output of its own head."""
     first: Any = heads[0]
     if isinstance(first, AttractorHead):
         attractors: list[Any] = heads
@@ -92,7 +99,7 @@ def routed(heads: list[nn.Module], features: Any, domain: Int[Tensor, " batch"])
 
 
 def _picked(of_heads: Sequence[Tensor], domain: Int[Tensor, " batch"]) -> Tensor:
-    """Each image's own, of tensors whose first axis is the images' or 1."""
+    """Pick for each image the tensor of its own head. The first axis of all tensors is the batch, or 1."""
     picked = first = of_heads[0]
     if all(other is first for other in of_heads):
         return first
@@ -103,14 +110,14 @@ def _picked(of_heads: Sequence[Tensor], domain: Int[Tensor, " batch"]) -> Tensor
 
 
 class PlainTransformer(nn.Module):
-    """torch's transformer in evaluation, whose own code fixes the number of tokens when it is traced."""
+    """torch's transformer in evaluation mode. torch's own code would fix the number of tokens when it is traced."""
 
     def __init__(self, transformer: nn.TransformerEncoder) -> None:
         super().__init__()
         self.layers = transformer.layers
 
     def forward(self, x: Float[Tensor, "batch tokens channels"]) -> Float[Tensor, "batch tokens channels"]:
-        """Layers with their norms behind and ReLU, batch first, as all in this package are."""
+        """Apply layers that normalise last, use ReLU and take the batch first, as all in this package do."""
         for module in self.layers:
             layer: Any = module
             attention = layer.self_attn

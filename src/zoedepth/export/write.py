@@ -1,6 +1,7 @@
-"""Writing a model for other programs, and proving that they get the same depth."""
+"""Write a model for other programs, and check that they compute the same depth."""
 
 import json
+import logging
 import math
 import shutil
 import tempfile
@@ -30,11 +31,11 @@ Format = Literal["onnx", "openvino", "torch-export"]
 SUFFIXES: dict[Format, str] = {"onnx": ".onnx", "openvino": ".xml", "torch-export": ".pt2"}
 OPSET = 18
 TOLERANCE, TOLERANCE_INT8 = 1e-4, 0.05
-"""Largest median of |exported - torch| / torch: of any output in metres at any size; of depth of a photo."""
+"""Largest median of |exported - torch| / torch that is allowed: for any output in metres; for a photo in int8."""
 
 
 class ExportError(ZoeDepthError):
-    """What was written does not give what torch gives."""
+    """Error of an export that does not compute what torch computes."""
 
 
 def export_model(
@@ -46,32 +47,60 @@ def export_model(
     photos: Sequence[str | Path] = (),
     size: tuple[int, int] | None = None,
 ) -> float:
-    """Write a model for another program, run what was written, and keep it only if its depth is that of torch.
+    """Write a model for another program, run the file, and keep it only if its depth is the same as torch's.
 
-    Input ``pixel_values`` and outputs are those of ``wrapper.Exported``. Batch, height and width are free; of
-    torch-export and of encoders with one size only the batch is. Config, preprocessing and version are in the metadata.
+    ``weights/tensors.py`` names the inputs and outputs. Batch, height and width are free; in a torch-export, and for
+    encoders with one size, only the batch is. Config, preprocessing and version are in the metadata.
 
     Args:
-        model: in evaluation mode.
+        model: model in evaluation mode.
         path: file to write, with the suffix of the format; OpenVINO's weights go to a .bin beside it.
         to: onnx, openvino or torch-export.
-        int8: products of encoder and decoder in 8-bit integers (OpenVINO); heads and router stay in float32.
-        photos: that int8 is calibrated on; a few hundred of the kind it will see.
+        int8: compute products of encoder and decoder in 8-bit integers (OpenVINO); heads and router stay in float32.
+        photos: photos to calibrate int8 on; a few hundred like those that the model will see.
         size: (height, width) of a torch-export; None: the model's.
 
     Returns:
         The largest median relative difference of the check.
 
     Raises:
-        InputError: see ``ExportModel``; a wrong suffix or size; int8 without photos or in another format.
+        InputError: the model cannot be exported (see ``ExportModel``), the suffix or size is wrong, or int8 is asked
+            for without photos or in another format.
         ExportError: the exported depth differs; nothing is left behind.
         MissingExtraError: the format's library is not installed.
     """
     path = Path(path)
+    _check_request(model, path, to=to, int8=int8, photos=photos, size=size)
+    wrapped = ExportModel(model).eval()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export-") as name:
+        part = Path(name) / path.name
+        _require(to, int8=int8)
+        try:
+            difference = _write(
+                model, wrapped, part, to=to, photos=photos if int8 else (), size=size or model.config.size
+            )
+        except RuntimeError as error:  # the errors of all exporters are kinds of it
+            raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
+        for file in sorted(part.parent.iterdir()):  # .bin before .xml, which needs it
+            shutil.move(file, path.parent / file.name)
+    return difference
+
+
+def _check_request(
+    model: DepthModel,
+    path: Path,
+    *,
+    to: Format,
+    int8: bool,
+    photos: Sequence[str | Path],
+    size: tuple[int, int] | None,
+) -> None:
+    """Refuse what cannot be written, see ``export_model``."""
     if path.suffix != SUFFIXES[to]:
-        raise InputError(f"a file of {to} ends with {SUFFIXES[to]}: got {path.name}")
+        raise InputError(f"a file of {to} ends with {SUFFIXES[to]}: give another name than {path.name}")
     if int8 and (to != "openvino" or not photos):
-        raise InputError("int8 is written for openvino only, and needs photos to calibrate on")
+        raise InputError("int8 is for openvino only, and needs photos to calibrate on: give to='openvino' and photos")
     if model.training:
         raise InputError("the model is in training mode: call model.eval() first")
     config = model.config
@@ -81,21 +110,9 @@ def export_model(
         raise InputError(f"{config.encoder_name} takes pixels of {config.size} only")
     parts = config.head if isinstance(config, ModelConfig) else config.network
     if to != "torch-export" and isinstance(parts, NewCrfsConfig | NewCrfsNetworkConfig):
-        raise InputError("NeWCRFs cuts a photo into windows by its size, which fits torch-export only")
+        raise InputError("NeWCRFs cuts a photo into windows by its size, which fits torch-export only: export to that")
     if model.device.type != "cpu":
-        raise InputError("the model is on another device: export a copy on the CPU, which the check runs on")
-    wrapped = ExportModel(model).eval()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export-") as name:
-        part = Path(name) / path.name
-        _require(to, int8=int8)
-        try:
-            difference = _write(model, wrapped, part, to=to, photos=photos if int8 else (), size=size or config.size)
-        except RuntimeError as error:  # of which all exporters' are kinds
-            raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
-        for file in sorted(part.parent.iterdir()):  # .bin before .xml
-            shutil.move(file, path.parent / file.name)
-    return difference
+        raise InputError("the model is on another device than the CPU, where the check runs: call model.cpu() first")
 
 
 def _write(
@@ -107,7 +124,7 @@ def _write(
     photos: Sequence[str | Path],
     size: tuple[int, int],
 ) -> float:
-    """Write and check, in one of the formats; with photos in 8 bits."""
+    """Write and check in one of the formats, with photos in 8 bits. Return the difference."""
     if to == "torch-export":
         _write_program(wrapped, path, size)
         return _check_program(wrapped, path, size)
@@ -122,7 +139,7 @@ def _write(
 
 
 def _require(to: Format, *, int8: bool) -> None:
-    """Say what is not installed before minutes are spent."""
+    """Refuse if a library is missing, before minutes are spent."""
     needed = {"onnx": ("onnx", "onnxruntime"), "openvino": ("onnx", "openvino"), "torch-export": ()}[to]
     for module in (*needed, *(("nncf",) if int8 else ())):
         if find_spec(module) is None:
@@ -130,7 +147,7 @@ def _require(to: Format, *, int8: bool) -> None:
 
 
 def metadata(model: DepthModel) -> str:
-    """What a program must know to prepare photos and read the depth, as JSON."""
+    """Return as JSON what a program must know to prepare photos and to read the depth."""
     config = model.config
     return json.dumps({
         "config": to_dict(config),
@@ -150,14 +167,14 @@ def metadata(model: DepthModel) -> str:
 
 
 def _inputs(model: DepthModel, batch: int, size: tuple[int, int]) -> tuple[Tensor, ...]:
-    """To trace with: smooth colours, and the router's choice where there is one."""
+    """Make inputs to trace with: smooth colours, and -1 (the router's choice) if there are several heads."""
     pixels = _pixels(batch, size)
     return (pixels, torch.full((batch,), -1)) if len(model.config.domains) > 1 else (pixels,)
 
 
 def _write_onnx(wrapped: ExportModel, path: Path) -> None:
     config = wrapped.model.config
-    # Any size but the one the position tables fit, where nothing would be resized.
+    # Not the size that the position tables fit: nothing would be resized in the traced graph.
     size = config.size if config.one_size else (3 * config.multiple, 4 * config.multiple)
     if size == config.size and not config.one_size:
         size = (size[0], size[1] + config.multiple)
@@ -168,8 +185,8 @@ def _write_onnx(wrapped: ExportModel, path: Path) -> None:
     for name in names:
         axes.setdefault(name, {0: "batch"} | {3 + at: side for side, at in sides.items()})
     axes[DOMAIN] = {0: "batch_or_1"}
-    # By tracing: with free sizes torch.export takes minutes (docs/log.md). With gradients, because what is computed in
-    # pieces without them would be traced piece by piece.
+    # Traced, because torch.export takes minutes with free sizes (docs/log.md). With gradients, because heads compute in
+    # pieces without them, and the trace would have all pieces.
     with warnings.catch_warnings(), torch.enable_grad():
         warnings.simplefilter("ignore")
         torch.onnx.export(
@@ -179,7 +196,7 @@ def _write_onnx(wrapped: ExportModel, path: Path) -> None:
 
 
 def _complete_onnx(model: DepthModel, path: Path) -> None:
-    """Say what the model is; and what the second input is where it is left out."""
+    """Add the metadata, and the value of the second input for programs that leave it out."""
     import onnx
 
     graph = onnx.load(path)
@@ -203,6 +220,7 @@ def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence
 def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -> Any:
     import nncf
 
+    nncf.set_log_level(logging.ERROR)  # it would print the name of every node that stays in float32
     config = model.config
     transformer = isinstance(config, ModelConfig) and config.encoder.family != "convolutional"
     choice = {DOMAIN: np.array([-1])} if len(config.domains) > 1 else {}
@@ -213,7 +231,7 @@ def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) 
         subset_size=len(inputs),
         preset=nncf.QuantizationPreset.MIXED,
         model_type=nncf.ModelType.TRANSFORMER if transformer else None,
-        # Nodes are named by the modules they are in, but for transposed convolutions, which only decoders have.
+        # Nodes are named after their modules. Transposed convolutions are not; only decoders have them.
         ignored_scope=nncf.IgnoredScope(
             patterns=["^(?!/(model|encoder|decoder|shared)/|ConvolutionBackpropData).*$"], validate=False
         ),
@@ -252,18 +270,18 @@ def _check_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> f
 
 @torch.no_grad()
 def _check_int8(model: DepthModel, path: Path, photos: Sequence[str | Path]) -> float:
-    """Compare with torch on some of the photos: of other inputs 8 bits, scaled for these, promise nothing."""
+    """Compare with torch on some of the photos. 8 bits are scaled for these and promise nothing for other inputs."""
     exported, worst = load_exported(path), 0.0
     for photo in photos[:: math.ceil(len(photos) / 8)]:
         pixels = torch.from_numpy(_prepared(model, photo))
         found = exported(pixels)
         worst = max(worst, _difference(found.depth, model(pixels, domain=found.domain).depth))
-    return _within(worst, TOLERANCE_INT8, path, advice=": calibrate on more photos, or of another kind")
+    return _within(worst, TOLERANCE_INT8, path, advice=": calibrate on more photos, or on another kind")
 
 
 @torch.no_grad()
 def _check(model: DepthModel, path: Path) -> float:
-    """Compare with torch at three sizes, where there are any; one image, and two of which each takes another head."""
+    """Compare with torch at three sizes if sizes are free, for one image and for two that take different heads."""
     exported, config = load_exported(path), model.config
     multiple = config.multiple
     others = [(4 * multiple, 3 * multiple), (2 * multiple, 5 * multiple)]
@@ -280,11 +298,11 @@ def _check(model: DepthModel, path: Path) -> float:
                     _within(_difference(found.domain_logits, expected.domain_logits), 100 * TOLERANCE, path)
                 if expected.std is not None:
                     worst = max(worst, _difference(found.std, expected.std))
-    return _within(worst, TOLERANCE, path, advice=": what decides by the size of photos fits torch-export only")
+    return _within(worst, TOLERANCE, path, advice=": a model that decides by the size of photos fits torch-export only")
 
 
 def _pixels(batch: int, size: tuple[int, int]) -> Tensor:
-    """Smooth colours: noise alone has the same depth everywhere."""
+    """Make smooth colours. Noise alone has the same depth everywhere."""
     generator = torch.Generator().manual_seed(batch + size[0])
     coarse = torch.rand(batch, 3, 4, 5, generator=generator)
     noise = 0.1 * torch.rand(batch, 3, *size, generator=generator)
@@ -301,7 +319,7 @@ def _difference(found: Tensor | None, expected: Tensor | None) -> float:
 def _within(difference: float, tolerance: float, path: Path, *, advice: str = "") -> float:
     if difference > tolerance:
         raise ExportError(
-            f"{path.name} gives other depth than torch: a median relative difference of {difference:.2g}, "
-            f"where {tolerance:.2g} is allowed. It was not kept{advice}"
+            f"{path.name} gives other depth than torch: the median relative difference is {difference:.2g}, and "
+            f"{tolerance:.2g} is allowed. The file was not kept{advice}"
         )
     return difference

@@ -86,22 +86,24 @@ def _front_matter(name: str, layout: str, licence: str | None, metrics: Mapping[
     """Return the YAML that the Hub reads."""
     from huggingface_hub import ModelCardData
 
+    identifier, licence_name = _licence(licence)
     return ModelCardData(
         pipeline_tag="depth-estimation",
         library_name="transformers" if layout == "huggingface" else "zoedepth",
         tags=["depth-estimation", "metric-depth", "zoedepth"],
         model_name=name if metrics else None,
         eval_results=_results(metrics) or None,
-        **_licence(licence),
+        license=identifier,
+        license_name=licence_name,
     ).to_yaml()
 
 
-def _licence(licence: str | None) -> dict[str, str]:
-    """Return the fields in which the Hub wants a licence: an identifier of its list, or "other" and a name."""
+def _licence(licence: str | None) -> tuple[str, str | None]:
+    """Return a licence as the Hub wants it: an identifier of its list, or "other" and a name."""
     if licence is None:
-        return {"license": "unknown"}
+        return "unknown", None
     identifier = licence.strip().lower()
-    return {"license": identifier} if identifier in _LICENCES else {"license": "other", "license_name": _slug(licence)}
+    return (identifier, None) if identifier in _LICENCES else ("other", _slug(licence))
 
 
 def _results(metrics: Mapping[str, Metrics]) -> "list[EvalResult]":

@@ -1,4 +1,4 @@
-"""A checkpoint in any layout, recognised by its content; and its writing in any layout, whole or not at all."""
+"""Read checkpoints of any layout, recognised by their content, and write them in any layout, whole or not at all."""
 
 import json
 import shutil
@@ -15,9 +15,10 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, ModelConfig, model_config_from_dict, to_dict
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
+from zoedepth.stored import parse_json, read_json
 from zoedepth.weights.card import model_card
 from zoedepth.weights.layouts import adabins, bts, huggingface, localbins, midas, newcrfs, original, pixelbins
-from zoedepth.weights.layouts.files import parse_json, read_json, read_tensors
+from zoedepth.weights.layouts.files import read_tensors
 from zoedepth.weights.layouts.keys import Table, shown
 
 Layout = Literal["zoedepth", "original", "huggingface"]
@@ -27,26 +28,25 @@ WEIGHTS, CONFIG, PREPROCESSOR, CARD = "model.safetensors", "config.json", "prepr
 
 
 class Checkpoint(NamedTuple):
-    """What a file or folder of weights holds, in our terms."""
+    """Config and weights of a file or folder, in our terms."""
 
     config: AnyModelConfig
     weights: dict[str, Tensor]
-    """Under our names, of the file's types."""
+    """Our names → tensors, with the number types of the file."""
     layout: str
-    """"zoedepth", "original", "midas", "huggingface", or a baseline's name: who wrote it."""
+    """Layout it was read from: "zoedepth", "original", "midas", "huggingface", or a baseline's name."""
     name_in_file: Callable[[str], str]
-    """One of our names → how the file calls it, for messages."""
+    """Function from our name of a weight to the file's, for messages."""
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
-    """Config and weights of a file or folder of any known layout.
+    """Read config and weights of a file or folder of any known layout.
 
-    The layout is told by the names of the weights: our own, the original's, MiDaS's, those of transformers 4 or 5,
-    those of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs.
-    Whether all weights are there and fit is for the one who builds the model to say.
+    The names of the weights tell the layout: our own, the original's, MiDaS's, those of transformers 4 or 5, or those
+    of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs. ``model_of`` checks later whether all weights are there and fit.
 
     Raises:
-        InputError: nothing is there, it cannot be read, it is of no known layout, or of one without its config.
+        InputError: there is no such file, it cannot be read, its layout is unknown, or its config is missing.
     """
     path = Path(path)
     folder, file = (path, _weights_in(path)) if path.is_dir() else (path.parent, path)
@@ -56,8 +56,8 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
     try:
         if path.is_dir() and huggingface.layout_of(weights) and not _json_beside(folder, CONFIG, "model_type"):
             raise InputError(
-                f"the folder has no {CONFIG} of transformers, which says the kind of bins and their range: put it "
-                "back, or give the file of weights alone if it is one of the three that were published"
+                f"the folder has no {CONFIG} of transformers, which holds the kind of bins and their range: put it "
+                "back, or give the file of weights alone if it is one of the three published ones"
             )
         return _recognise(weights, texts, folder)
     except InputError as error:
@@ -65,11 +65,11 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
 
 
 def _weights_in(folder: Path) -> Path:
-    """The file of weights in a folder of ours or of transformers."""
+    """Return the file of weights in a folder of ours or of transformers."""
     if (folder / WEIGHTS).is_file():
         return folder / WEIGHTS
     if (folder / f"{WEIGHTS}.index.json").is_file():
-        raise InputError(f"{folder} holds a checkpoint in several files: save it as one {WEIGHTS}")
+        raise InputError(f"{folder} holds a checkpoint in several files, which is not read: save it as one {WEIGHTS}")
     others = sorted(file.name for pattern in ("*.bin", "*.pt", "*.pth") for file in folder.glob(pattern))
     hint = f"; it has {shown(others)}: give the file itself" if others else ""
     raise InputError(f"{folder} has no {WEIGHTS}{hint}")
@@ -90,18 +90,19 @@ def _recognise(weights: dict[str, Tensor], texts: Mapping[str, str], folder: Pat
     if any(name.startswith("pretrained.") for name in weights):
         return _translated("midas", lambda: midas.read(weights))
     if "config" in texts:
-        return Checkpoint(_config(texts["config"]), weights, "zoedepth", str)
+        config = parse_json(texts["config"], "the config in its metadata")
+        return Checkpoint(model_config_from_dict(config), weights, "zoedepth", str)
     if any(name.startswith("encoder.") for name in weights):
         if (config := _json_beside(folder, CONFIG, "zoedepth")) is None:
             raise InputError(
-                "there is no ZoeDepth config in its metadata, nor in a config.json beside it; "
-                "write models with zoedepth.save_model"
+                "there is no ZoeDepth config in its metadata, nor in a config.json beside it: save the model with "
+                "zoedepth.save_model, which writes one"
             )
         return Checkpoint(model_config_from_dict(config["zoedepth"]), weights, "zoedepth", str)
     raise InputError(
-        "these are the weights of no ZoeDepth: its own, the original's, MiDaS's DPT-BEiT, transformers' and those of "
-        f"the baselines {sorted(_BASELINES)} are known. "
-        f"The first names: {shown(list(weights), limit=3)}"
+        "these are not the weights of a known model. Known are ours, the original's, MiDaS's DPT-BEiT, transformers' "
+        f"and those of the baselines {sorted(_BASELINES)}. The first names in this file are "
+        f"{shown(list(weights), limit=3)}"
     )
 
 
@@ -112,7 +113,7 @@ _BASELINES = {
     "pixelbins": (pixelbins.is_pixelbins, pixelbins.read),
     "newcrfs": (newcrfs.is_newcrfs, newcrfs.read),
 }
-"""The checkpoints of other systems: how each is recognised, and read."""
+"""Name of a system → the functions that recognise and read its checkpoints."""
 
 
 def _translated(layout: str, read: Callable[[], tuple[AnyModelConfig, dict[str, Tensor], Table]]) -> Checkpoint:
@@ -121,19 +122,11 @@ def _translated(layout: str, read: Callable[[], tuple[AnyModelConfig, dict[str, 
 
 
 def _json_beside(folder: Path, name: str, key: str) -> dict | None:
-    """A JSON file in the folder of the weights, if it is there and about this: a folder may hold other things."""
+    """Read a JSON file beside the weights. None if it is missing or lacks ``key``: it may belong to something else."""
     if not (folder / name).is_file():
         return None
     values = read_json(folder / name)
     return values if key in values else None
-
-
-def _config(text: str) -> AnyModelConfig:
-    try:
-        values = parse_json(text)
-    except InputError as error:
-        raise InputError(f"the config in its metadata makes no model: {error}") from error
-    return model_config_from_dict(values)
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
@@ -146,19 +139,19 @@ def write_checkpoint(
 
     Args:
         checkpoint: see ``read_checkpoint``.
-        path: for "original" a file (``.pt``); for "zoedepth" a folder, or a file (``.safetensors``); for "huggingface"
-            a folder. A folder gets config, weights and a model card.
-        to: the layout.
+        path: file (``.pt``) for "original"; folder or file (``.safetensors``) for "zoedepth"; folder for "huggingface".
+            A folder gets config, weights and a model card.
+        to: layout to write.
         name: title of the model card.
-        licence: of the weights, for the card; None: not stated.
+        licence: licence of the weights, for the card; None: not stated.
 
     Raises:
-        InputError: the layout has no such model, the suffix is of another layout, or the folder is there already.
+        InputError: the layout cannot hold this model, the suffix belongs to another layout, or the folder exists.
     """
     path, (config, weights, *_) = Path(path), checkpoint
     if to == "original":
         if path.suffix not in (".pt", ".pth"):
-            raise InputError(f"{path}: the original's layout is a file; give a name that ends with .pt")
+            raise InputError(f"{path}: the original's layout is a file: give a name that ends with .pt")
         theirs = original.write(_zoedepth(config, to), weights)
         with atomic_path(path) as part:
             torch.save({"model": theirs, "optimizer": None, "epoch": 0}, part)
@@ -168,7 +161,7 @@ def write_checkpoint(
             _save(weights, part, config)
         return path
     if path.suffix in (".pt", ".pth", ".safetensors"):
-        raise InputError(f"{path}: the {to} layout is a folder, whose name must not end with {path.suffix}")
+        raise InputError(f"{path}: the {to} layout is a folder: give a name that does not end with {path.suffix}")
     if to == "huggingface":
         model = _zoedepth(config, to)
         theirs = huggingface.write(model, weights)
@@ -188,14 +181,14 @@ def write_checkpoint(
 
 def _zoedepth(config: AnyModelConfig, to: Layout) -> ModelConfig:
     if not isinstance(config, ModelConfig):
-        raise InputError(f"the {to} layout has no baselines: write the zoedepth layout")
+        raise InputError(f"the {to} layout cannot hold baselines: write the zoedepth layout")
     return config
 
 
 def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | None) -> None:
-    # transformers demands the format; our config is read from the header, so that the file is enough by itself.
+    # transformers demands "format". Our config goes into the header, so that the file is enough by itself.
     texts = {"format": "pt"} | ({} if config is None else {"config": json.dumps(to_dict(config))})
-    # Two names for one memory are two weights here.
+    # safetensors takes contiguous tensors that share no memory.
     seen: set[int] = set()
     apart = {}
     for name, value in weights.items():
@@ -206,13 +199,13 @@ def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | No
     path.touch()
     mode = path.stat().st_mode
     save_file(apart, path, metadata=texts)
-    path.chmod(mode)  # safetensors' files are for their owner only
+    path.chmod(mode)  # safetensors makes files that only their owner may read
 
 
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
-    """A folder that comes into being complete, or not at all."""
-    # Not in the place of the folder we are in, which has no name, nor of a link.
+    """Give a temporary folder that becomes ``path`` at the end, or vanishes when something fails."""
+    # Neither the folder we are in (its path "." has no name) nor a link is replaced.
     if path.is_symlink() or (path.exists() and (not path.name or not path.is_dir() or any(path.iterdir()))):
         raise InputError(f"{path} is there already: give another name, or remove it first")
     part = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")

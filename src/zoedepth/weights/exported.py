@@ -1,6 +1,6 @@
-"""Running an exported file behind the interface of every model, so that ``Predictor`` takes it like any other."""
+"""Run exported files behind the interface of every model, so that ``Predictor`` takes them like any other."""
 
-import json
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,17 +15,17 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel, DepthOutput
-from zoedepth.weights.layouts.files import parse_json
+from zoedepth.stored import parse_json
 from zoedepth.weights.openvino_graph import specialized
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
 
 METADATA = "zoedepth"
-"""Key of the JSON in the file's metadata: config, preprocessing, version."""
+"""Key in the file's metadata of a JSON text with config, preprocessing and version."""
 Precision = Literal["float32", "bfloat16"]
 
 
 class ExportedModel(DepthModel):
-    """A file of another runtime. It runs on the CPU, cannot be trained, and has no relative depth."""
+    """Model in a file of another runtime. It runs on the CPU, cannot be trained, and has no relative depth."""
 
     def __init__(self, metadata: str | None, path: Path) -> None:
         super().__init__()
@@ -34,12 +34,12 @@ class ExportedModel(DepthModel):
 
     @property
     def device(self) -> torch.device:
-        """Pixels and depth are on the CPU, wherever the runtime computes."""
+        """Return the CPU: pixels and depth are there, wherever the runtime computes."""
         return torch.device("cpu")
 
     @abstractmethod
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name; without the standard deviation, if there is one, unless it is wanted."""
+        """Compute outputs by name from inputs by name. The standard deviation is left out unless it is wanted."""
 
     def forward(
         self,
@@ -49,13 +49,13 @@ class ExportedModel(DepthModel):
         return_std: bool = False,
         return_bins: bool = False,
     ) -> DepthOutput:
-        """Depth of a batch, as ``DepthModel.forward``; what is not asked for comes at no cost.
+        """Compute the depth of a batch, see ``DepthModel.forward``. Outputs that nobody asks for cost nothing.
 
         Raises:
-            InputError: wrong shape or size, or bins are asked for, which no exported file gives.
+            InputError: wrong shape or size, or bins are asked for, which exported files do not give.
         """
         if return_bins:
-            raise InputError("an exported model gives no bins: use the model it was made from")
+            raise InputError("an exported model gives no bins: load the model that it was exported from")
         self.check(pixels, domain)
         inputs = {INPUT: pixels.float().contiguous().numpy()}
         if len(self.config.domains) > 1:
@@ -70,38 +70,43 @@ class ExportedModel(DepthModel):
 
 
 class OnnxModel(ExportedModel):
-    """An ONNX file in ONNX Runtime: CUDA where its GPU package is installed (not run), else the CPU."""
+    """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU."""
 
     def __init__(self, path: Path, *, threads: int) -> None:
         try:
+            import onnx
             import onnxruntime
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
-        options.log_severity_level = 3  # errors: it warns of the default of the second input
+        options.log_severity_level = 3  # errors only: it warns of the default of the second input
         wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
+            if path.stat().st_size <= _SMALL:
+                _refuse_onnx_bomb(onnx.load(path, load_external_data=False), path)
             self.session = onnxruntime.InferenceSession(str(path), options, providers=providers)
+        except InputError:
+            raise
         except Exception as error:  # its errors share no class
-            raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}") from error
+            raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}. Export the model again") from error
         self.names = [output.name for output in self.session.get_outputs()]
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name; see ``ExportedModel``."""
+        """Compute outputs by name from inputs by name; see ``ExportedModel``."""
         names = [name for name in self.names if std or name != STD]
         found: Any = self.session.run(names, dict(inputs))
         return dict(zip(names, found, strict=True))
 
 
 class OpenVinoModel(ExportedModel):
-    """An OpenVINO file, compiled for this processor.
+    """OpenVINO file, compiled for this processor.
 
-    It is compiled for the first shape of pixels that comes, which is faster and needs less memory than a graph of any
-    shape; all other shapes share one of those, compiled when the first of them comes. So it is with the standard
-    deviation and without it.
+    The graph is compiled for the first shape of pixels that comes: that is faster and needs less memory than a graph
+    for any shape. All other shapes share one graph for any shape, compiled when the first of them comes. Graphs with
+    and without the standard deviation are compiled separately.
     """
 
     def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:
@@ -118,17 +123,22 @@ class OpenVinoModel(ExportedModel):
         }
         try:
             self.graph = self.core.read_model(path)
+            _refuse_openvino_bomb(self.graph, path)
             metadata = self.graph.get_rt_info(METADATA).astype(str) if self.graph.has_rt_info(METADATA) else None
+        except InputError:
+            raise
         except Exception as error:  # a RuntimeError of C++, mostly
-            raise InputError(f"{path} cannot be read as OpenVINO: {str(error)[:300]}") from error
+            raise InputError(
+                f"{path} cannot be read as OpenVINO: {str(error)[:300]}. Is its .bin file beside it?"
+            ) from error
         self.lock = Lock()
         self.first_shape: tuple[int, ...] | None = None
         self.compiled: dict[tuple[bool, bool], Any] = {}
-        """By whether they take the first shape only, and whether they give the standard deviation."""
+        """(True for the first shape only, True with the standard deviation) → compiled graph."""
         super().__init__(metadata, path)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
-        """Outputs by name, of inputs by name; see ``ExportedModel``. A request of its own: threads may share it."""
+        """Compute outputs by name from inputs by name; see ``ExportedModel``. Several threads may call it at once."""
         compiled = self._compiled_for(inputs[INPUT].shape, std=std)
         results: Any = compiled.create_infer_request().infer(dict(inputs))
         return {output.get_any_name(): np.array(results[output]) for output in compiled.outputs}
@@ -142,33 +152,77 @@ class OpenVinoModel(ExportedModel):
                     graph = specialized(self.graph, shape=shape if key[0] else None, without=() if std else (STD,))
                     self.compiled[key] = self.core.compile_model(graph, "CPU", self.properties)
                 except Exception as error:  # a RuntimeError of C++, mostly
-                    raise InputError(f"{self.path} cannot be compiled: {str(error)[:300]}") from error
+                    raise InputError(
+                        f"OpenVINO cannot compile {self.path}: {str(error)[:300]}. Export the model again"
+                    ) from error
             return self.compiled[key]
+
+
+_SMALL = 100_000_000
+"""Bytes of an ONNX file that is looked through before it is run; larger ones are no small files that unpack to more."""
+_MAX_UNPACKED = 100_000_000
+"""Bytes that a graph may make of constants, beside 16 times its file: 8-bit weights become float32, and are moved."""
+
+
+def _refuse_onnx_bomb(model: Any, path: Path) -> None:
+    """Refuse a graph whose constants ask for tensors far larger than the file, or that has loops."""
+    import onnx
+    from onnx import shape_inference
+
+    if any(attribute.type == onnx.AttributeProto.GRAPH for node in model.graph.node for attribute in node.attribute):
+        raise InputError(f"{path} has a loop or a branch, which no export of zoedepth has: it was not run")
+    try:
+        inferred = shape_inference.infer_shapes(model, data_prop=True)
+    except Exception as error:  # its errors share no class
+        raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}. Export the model again") from error
+    values = [*inferred.graph.value_info, *inferred.graph.output]
+    _refuse_bomb([[dim.dim_value for dim in value.type.tensor_type.shape.dim] for value in values], path)
+
+
+def _refuse_openvino_bomb(graph: Any, path: Path) -> None:
+    """Refuse a graph whose constants ask for tensors far larger than its weights."""
+    shapes = []
+    for node in graph.get_ops():
+        if node.get_type_name() != "Constant":  # whose size OpenVINO compares with the .bin file
+            shapes += [port.get_partial_shape() for port in node.outputs()]
+    _refuse_bomb([[dim.get_min_length() for dim in shape] for shape in shapes if shape.rank.is_static], path)
+
+
+def _refuse_bomb(shapes: list[list[int]], path: Path) -> None:
+    """Refuse a graph by the shapes of its tensors, whose unknown sides are 0."""
+    weights = path.with_suffix(".bin")
+    n_bytes = path.stat().st_size + (weights.stat().st_size if weights.is_file() else 0)
+    unpacked = sum(4 * math.prod(max(side, 1) for side in shape) for shape in shapes)
+    if unpacked > _MAX_UNPACKED + 16 * n_bytes:
+        raise InputError(
+            f"{path} of {n_bytes:,} bytes would unpack to {unpacked:,}, which no export of zoedepth does: it was not "
+            "run"
+        )
 
 
 _SUFFIXES = (".onnx", ".xml")
 
 
 def is_exported(name_or_path: str | Path) -> bool:
-    """Whether ``load_exported`` takes it, by its suffix."""
+    """Return True if the suffix is one that ``load_exported`` takes."""
     return Path(name_or_path).suffix.lower() in _SUFFIXES
 
 
 def load_exported(
     path: str | Path, *, precision: Precision = "float32", threads: int | None = None, streams: int = 1
 ) -> ExportedModel:
-    """A file that ``zoedepth export`` wrote, for ``Predictor``.
+    """Load a file that ``zoedepth export`` wrote. ``load_model`` does it too; only here threads can be chosen.
 
-    Files hold no code: both runtimes read a graph of their own known operations.
+    Such files hold no code: both runtimes read a graph of operations that they know.
 
     Args:
-        path: .onnx, or OpenVINO's .xml with its .bin beside it.
-        precision: that OpenVINO computes in; ONNX Runtime always computes in the file's.
-        threads: of each forward; None: as many as torch uses.
-        streams: forwards that will run at the same time.
+        path: .onnx file, or OpenVINO's .xml with its .bin beside it.
+        precision: number type that OpenVINO computes in; ONNX Runtime always uses the file's.
+        threads: processor threads of each forward; None: as many as torch uses.
+        streams: number of forwards that will run at the same time (OpenVINO).
 
     Raises:
-        InputError: no such file, not one of these, or not made by ``zoedepth export``.
+        InputError: there is no such file, it is of another kind, or ``zoedepth export`` did not make it.
         MissingExtraError: the runtime is not installed.
     """
     path = Path(path)
@@ -179,13 +233,16 @@ def load_exported(
         return OnnxModel(path, threads=threads)
     if path.suffix.lower() == ".xml":
         return OpenVinoModel(path, precision=precision, threads=threads, streams=streams)
-    raise InputError(f"{path} is not an exported model that runs here: give a .onnx or .xml file")
+    raise InputError(f"{path} is not an exported model that can run here: give a .onnx or .xml file")
 
 
 def _config(metadata: str | None, path: Path) -> AnyModelConfig:
     if metadata is None:
-        raise InputError(f"{path} does not say its configuration: it was not made by zoedepth export")
+        raise InputError(f"{path} holds no configuration: it was not made by zoedepth export. Use zoedepth export")
+    values = parse_json(metadata, f"the metadata in {path}")
+    if "config" not in values:
+        raise InputError(f"the metadata in {path} holds no 'config': it was not made by zoedepth export")
     try:
-        return model_config_from_dict(parse_json(metadata)["config"])
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
-        raise InputError(f"the configuration in {path} cannot be read: {error}") from error
+        return model_config_from_dict(values["config"])
+    except InputError as error:
+        raise InputError(f"the configuration in {path} makes no model: {str(error)[:2000]}") from error

@@ -1,8 +1,7 @@
-"""Models on the Hugging Face Hub: the files of a model, from there, from the cache, and back.
+"""Download models from the Hugging Face Hub, find them in its cache, and upload them.
 
 ``huggingface_hub`` keeps the cache (``HF_HOME``), the token (``HF_TOKEN``) and the offline switch
-(``HF_HUB_OFFLINE``); it is imported when used. Only weights in safetensors and JSON are ever downloaded: no pickles,
-and no code.
+(``HF_HUB_OFFLINE``). It is imported when used. Only safetensors and JSON are ever downloaded: no pickles, no code.
 """
 
 from pathlib import Path
@@ -12,17 +11,17 @@ from zoedepth.errors import InputError
 CONFIG = "config.json"
 WEIGHTS = "model.safetensors"
 PREPROCESSOR = "preprocessor_config.json"
-"""How large photos are made; folders of transformers have it, ours have the size in their config."""
+"""File with the size of photos. Folders of transformers have it; in ours the size is in the config."""
 
 _FILE_SUFFIXES = (".safetensors", ".pt", ".pth", ".ckpt", ".bin", ".json", ".onnx")
-_LOG_IN = "set HF_TOKEN to a token of yours, or run `hf auth login`"
+_LOG_IN = "set HF_TOKEN to your token, or run `hf auth login`"
 
 
 def is_hub_id(name: str) -> bool:
-    """Whether a name has the form of a model on the Hub, "organisation/model". Nothing is looked up.
+    """Return True if a name has the form of a model on the Hub, "organisation/model". Nothing is looked up.
 
-    A relative path of two parts has that form too, so look for files first. Names with the suffix of a file of weights
-    are taken for paths: a mistyped one should not be searched for on the Hub.
+    A relative path of two parts has the same form, so look for files first. A name with the suffix of a weights file
+    counts as a path, so that a mistyped one is not searched for on the Hub.
     """
     if name.count("/") != 1 or name.lower().endswith(_FILE_SUFFIXES):
         return False
@@ -36,19 +35,17 @@ def is_hub_id(name: str) -> bool:
 
 
 def fetch(repo_id: str, *, revision: str | None = None) -> Path:
-    """The local folder with ``config.json`` and ``model.safetensors`` of a model on the Hub.
+    """Return a local folder with ``config.json`` and ``model.safetensors`` of a model on the Hub.
 
-    ``preprocessor_config.json`` comes along where there is one.
-
-    What is in the cache is not downloaded again, and is used as it is when the network cannot be reached or
-    ``HF_HUB_OFFLINE`` is set.
+    If the model has a ``preprocessor_config.json``, that is there too. Files in the cache are not downloaded again, and
+    are used as they are when the network cannot be reached or ``HF_HUB_OFFLINE`` is set.
 
     Args:
         repo_id: "organisation/model".
         revision: branch, tag or commit; None is the main branch.
 
     Returns:
-        A folder in the cache, which belongs to ``huggingface_hub``: read it, and change nothing in it.
+        A folder in the cache. It belongs to ``huggingface_hub``: read it and change nothing in it.
 
     Raises:
         InputError: there is no such model or revision, it is gated, it has no safetensors or no config, or it is not
@@ -61,21 +58,21 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     folder, wanted = Path(), revision
     for name in (CONFIG, WEIGHTS, PREPROCESSOR):
         if name == PREPROCESSOR and try_to_load_from_cache(repo_id, name, revision=wanted) is not None:
-            break  # it is here, or known not to exist
+            break  # it is here, or it is known not to exist
         try:
             folder = Path(hf_hub_download(repo_id, name, revision=wanted)).parent
         except EntryNotFoundError as error:
             if name != PREPROCESSOR:
                 raise _fetch_error(error, repo_id, name, revision) from error
-        except Exception as error:  # the Hub's, the HTTP client's, the operating system's, those of a faster client
+        except Exception as error:  # from the Hub, the HTTP client, the operating system or a faster client
             raise _fetch_error(error, repo_id, name, revision) from error
-        # The folder is named after the commit: all files come from one, whatever is pushed in the meantime.
+        # The folder is named after the commit. All files come from it, even if somebody pushes in the meantime.
         wanted = folder.name
     return folder
 
 
 def cached(repo_id: str) -> bool:
-    """Whether both files of a model's main branch are in the local cache. Needs no network."""
+    """Return True if config and weights of a model's main branch are in the local cache. Needs no network."""
     if not is_hub_id(repo_id):
         return False
     from huggingface_hub import try_to_load_from_cache
@@ -84,21 +81,21 @@ def cached(repo_id: str) -> bool:
 
 
 def push_folder(folder: Path, repo_id: str, *, private: bool = False, message: str = "Upload a ZoeDepth model") -> str:
-    """Upload the files of a folder to the Hub in one commit; the model is created there if need be.
+    """Upload the files of a folder to the Hub in one commit. The model is created there if it does not exist.
 
     Args:
-        folder: what to upload, subfolders included.
+        folder: folder to upload, subfolders included.
         repo_id: "organisation/model".
-        private: only you and your organisation see the model. False leaves that to the settings of the organisation,
-            which are usually public, and a model that exists stays as it is.
-        message: of the commit.
+        private: True makes a model that only you and your organisation see. False leaves it to the settings of the
+            organisation, which are usually public. A model that exists stays as it is.
+        message: commit message.
 
     Returns:
         The address of the model.
 
     Raises:
-        InputError: the folder is missing or empty, you may not write there, the model is public and should be private,
-            the Hub refuses the model card, or the network cannot be used.
+        InputError: the folder is missing or empty, you may not write there, the model exists and is public but
+            ``private`` is asked for, the Hub refuses the model card, or the network cannot be used.
     """
     _require_hub_id(repo_id)
     if not folder.is_dir() or not any(folder.iterdir()):
@@ -108,7 +105,7 @@ def push_folder(folder: Path, repo_id: str, *, private: bool = False, message: s
     api = HfApi()
     try:
         url = api.create_repo(repo_id, private=private or None, exist_ok=True)
-        # To an existing model ``private`` means nothing to the Hub; files that were to be private would be public.
+        # The Hub ignores ``private`` for an existing model: files that should be private would become public.
         if private and not api.model_info(repo_id).private:
             raise InputError(
                 f"{repo_id} exists and is public: make it private on {url}/settings, or push without private"
@@ -123,7 +120,7 @@ def push_folder(folder: Path, repo_id: str, *, private: bool = False, message: s
 
 def _require_hub_id(repo_id: str) -> None:
     if not is_hub_id(repo_id):
-        raise InputError(f"{repo_id!r} is not the name of a model on the Hub: expected organisation/model")
+        raise InputError(f"{repo_id!r} is not the name of a model on the Hub: give organisation/model")
 
 
 def _fetch_error(error: Exception, repo_id: str, name: str, revision: str | None) -> InputError:
@@ -140,8 +137,8 @@ def _fetch_error(error: Exception, repo_id: str, name: str, revision: str | None
     if isinstance(error, LocalEntryNotFoundError):
         if constants.HF_HUB_OFFLINE:
             return InputError(
-                f"{name} of {repo_id} is not in the cache {constants.HF_HUB_CACHE}, and HF_HUB_OFFLINE forbids to "
-                "download it: unset it, or give a folder or file of weights"
+                f"{name} of {repo_id} is not in the cache {constants.HF_HUB_CACHE}, and HF_HUB_OFFLINE forbids "
+                "downloading: unset it, or give a folder or file of weights"
             )
         error = error.__cause__ if isinstance(error.__cause__, Exception) else error  # what happened to the request
     if isinstance(error, GatedRepoError):
@@ -154,10 +151,10 @@ def _fetch_error(error: Exception, repo_id: str, name: str, revision: str | None
         return InputError(f"{repo_id} has no revision {revision!r}: see the branches and tags on {page}")
     if isinstance(error, EntryNotFoundError):
         hint = (
-            "it holds no model of zoedepth or transformers"
+            "it is not a model of zoedepth or transformers"
             if name == CONFIG
-            else "only safetensors are loaded from the Hub, because pickles such as pytorch_model.bin can run code; "
-            "ask its owner to convert it, or give a file of weights that you trust"
+            else "only safetensors are loaded from the Hub, because pickles such as pytorch_model.bin can run code. "
+            "Ask the owner to convert it, or give a file of weights that you trust"
         )
         return InputError(f"{repo_id} has no {name}: {hint} (its files: {page}/tree/{revision or 'main'})")
     if _status(error) in (401, 403):

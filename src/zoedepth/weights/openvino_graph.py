@@ -1,4 +1,4 @@
-"""Changes to graphs of OpenVINO that leave what they compute as it is, and make it faster on a CPU."""
+"""Change graphs of OpenVINO so that they compute the same faster on a CPU."""
 
 import math
 from collections.abc import Sequence
@@ -9,11 +9,11 @@ import numpy as np
 from zoedepth.weights.tensors import DOMAIN, INPUT
 
 LARGE = 1 << 18
-"""Numbers in a tensor from which its passes over memory count: 1 MB in float32."""
+"""Count of numbers (1 MB in float32) from which a tensor is large: passing it through memory takes time."""
 
 
 def specialized(graph: Any, *, shape: Sequence[int] | None, without: Sequence[str]) -> Any:
-    """A copy that shares the weights, takes pixels of one shape (None: of any) and leaves out some outputs."""
+    """Copy a graph for pixels of one shape (None: any shape), without some outputs. The weights are shared."""
     special = graph.clone()
     for result in special.get_results():
         if set(without) & set(result.input_value(0).get_names()):
@@ -27,10 +27,10 @@ def specialized(graph: Any, *, shape: Sequence[int] | None, without: Sequence[st
 
 
 def _look_up_biases_late(graph: Any) -> None:
-    """Keep BEiT's position biases out of memory: they are looked up in small tables when a block needs them.
+    """Keep BEiT's position biases out of memory: look them up in small tables when a block needs them.
 
-    With one shape they depend on nothing else, and would be computed once and kept, 0.9 GB of them in BEiT-L: let them
-    seem to depend on the pixels, by a zero.
+    In a graph for one shape the biases are constants. OpenVINO would compute and keep them, 0.9 GB for BEiT-L.
+    A zero that is made from the pixels is added to the indices, so that the biases seem to depend on the pixels.
     """
     from openvino import opset13 as operators
 
@@ -49,10 +49,10 @@ def _look_up_biases_late(graph: Any) -> None:
 
 
 def _spell_softmax(graph: Any) -> None:
-    """Write the softmax over the bins as exp(x - max) / sum, which runs in any layout of memory.
+    """Write the softmax over the bins as exp(x - max) / sum, which works with any layout of memory.
 
-    OpenVINO's own wants bins side by side in memory in a way that nothing around it has: large maps were copied five
-    times for it.
+    OpenVINO's own softmax needs the bins side by side in memory. No operation around it stores them so: OpenVINO copied
+    large maps five times.
     """
     from openvino import opset13 as operators
 
@@ -61,11 +61,11 @@ def _spell_softmax(graph: Any) -> None:
             continue
         axis = node.get_attributes()["axis"]
         users = [port.get_node().get_type_name() for port in node.output(0).get_target_inputs()]
-        if any(user == "MatMul" for user in users):  # attention, which is fused as it is
+        if any(user == "MatMul" for user in users):  # attention: OpenVINO fuses it as it is
             continue
         x, axes = node.input_value(0), operators.constant([axis])
         exp = operators.exp(operators.subtract(x, operators.reduce_max(x, axes, True)))
-        # Not exp / sum, which would be recognised and made a softmax again.
+        # OpenVINO would recognise exp / sum and make it a softmax again.
         one = operators.constant(np.float32(1))
         probability = operators.multiply(exp, operators.divide(one, operators.reduce_sum(exp, axes, True)))
         for port in node.output(0).get_target_inputs():
@@ -78,10 +78,11 @@ def _is_large(node: Any) -> bool:
 
 
 def make_products_unsigned(graph: Any) -> None:
-    """Let the inputs of 8-bit matrix products be unsigned with a zero point, never signed.
+    """Make the inputs of 8-bit matrix products unsigned with a zero point.
 
-    Processors with AVX-512 VNNI and no AMX multiply unsigned by signed numbers: signed inputs take a third longer.
-    Calibration gives signed ones, zero point 128, wherever a range happens to be symmetric: one step is moved.
+    Processors with AVX-512 VNNI but without AMX multiply unsigned by signed numbers: signed inputs take a third longer.
+    Where a range happens to be symmetric, calibration makes the input signed (zero point 128): the range is moved by
+    one step.
     """
     from openvino import opset13 as operators
 
@@ -100,6 +101,6 @@ def make_products_unsigned(graph: Any) -> None:
 
 
 def _is_weight(node: Any) -> bool:
-    """Whether nothing but constants goes into it."""
+    """Return True if the node depends on constants only."""
     inputs = [port.get_source_output().get_node() for port in node.inputs()]
     return all(_is_weight(source) for source in inputs) if inputs else node.get_type_name() == "Constant"

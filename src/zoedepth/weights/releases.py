@@ -1,4 +1,4 @@
-"""Published weights by name: what they are, where they come from, and where they lie once fetched. No torch here."""
+"""Published weights by name: what they are for, where they come from, and where they are kept. No torch here."""
 
 import os
 from dataclasses import dataclass
@@ -12,29 +12,29 @@ _MIDAS = "https://github.com/isl-org/MiDaS/releases/download/v3_1"
 
 @dataclass(frozen=True)
 class Release:
-    """Weights somebody published, or that are in the package."""
+    """Weights that somebody published, or that are in the package."""
 
     what: str
-    """One line: what the model is for."""
+    """Purpose of the model, in one line."""
     file: str
-    """Name of the file."""
+    """File name."""
     size: str
-    """Of the file, about."""
+    """Approximate size of the file."""
     licence: str
-    """Of the weights, as their publisher states it."""
+    """Licence of the weights, as their publisher states it."""
     url: str | None = None
-    """Where the file is fetched from; None: it is in the package."""
+    """Address that the file is downloaded from; None: it is in the package."""
     hub_id: str | None = None
-    """The same model at Hugging Face, to be loaded by this id."""
+    """Hugging Face id of the same model."""
 
     @property
     def path(self) -> Path:
-        """Where the file is, or will be once it is fetched."""
+        """Return where the file is, or will be once it is downloaded."""
         return ASSETS / self.file if self.url is None else download_folder() / self.file
 
     @property
     def present(self) -> bool:
-        """Whether the file is on this machine."""
+        """Return True if the file is on this machine."""
         return self.path.is_file()
 
 
@@ -81,7 +81,7 @@ RELEASES: dict[str, Release] = {
 
 
 def download_folder() -> Path:
-    """Where torch.hub puts checkpoints: those the original ZoeDepth fetched are found again."""
+    """Return the folder where torch.hub keeps checkpoints: files that the original downloaded are found there."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache")
     home = Path(os.environ.get("TORCH_HOME") or cache / "torch")
     return home.expanduser() / "hub" / "checkpoints"

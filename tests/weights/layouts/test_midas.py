@@ -31,7 +31,7 @@ def test_relative_depth_is_that_of_the_zoedepth_it_was_cut_from(file: Path):
     model, whole = load_model(file), model_of(tiny(), source="twin")
     pixels = torch.rand(2, 3, 64, 96, generator=torch.Generator().manual_seed(0))
     relative = model.relative(pixels)
-    assert torch.equal(relative, whole.relative(pixels))
+    torch.testing.assert_close(relative, whole.relative(pixels), rtol=1e-5, atol=1e-5)
     assert relative.std() > 1e-3, "a constant proves nothing"
 
 

@@ -1,1 +1,1 @@
-"""Other people's checkpoints: a table of names for each layout, and the config that their shapes and files tell."""
+"""Other people's checkpoints: a table of names for each layout, and configs told by shapes and files."""

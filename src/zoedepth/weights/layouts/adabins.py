@@ -12,9 +12,9 @@ _LAYER, _TOKENS = "adaptive_bins_layer", "adaptive_bins_layer.patch_transformer"
 
 
 def unet_rows() -> list[Row]:
-    """Names of encoder and U-Net, those of PixelBins as well. Encoders are called as timm does it."""
+    """Return the rows of encoder and U-Net, which PixelBins shares. Encoders have timm's names."""
     return [
-        Row("encoder.original_model.bn2.*", None),  # what follows the map that is used
+        Row("encoder.original_model.bn2.*", None),  # comes after the map that is used
         Row("encoder.original_model.*", "encoder.network.*"),
         Row("decoder.conv2.*", "decoder.bottleneck.*"),
         *(Row(f"decoder.up{i + 1}._net.*", f"decoder.levels.{i}.convs.*") for i in range(4)),
@@ -30,24 +30,24 @@ TABLE = Table([
     Row(f"{_LAYER}.conv3x3.*", "bins.features.*"),
     Row(f"{_LAYER}.regressor.*", "bins.widths.*"),
     Row("conv_out.0.*", "bins.probability.*"),
-    # As its ``model_io.py`` says, two were called otherwise before.
+    # Two older names, see its ``model_io.py``.
     Row(f"{_TOKENS}.embedding_encoder.*", "bins.tokens.embed.*"),
     Row(f"{_LAYER}.embedding_conv.*", "bins.features.*"),
 ])  # fmt: skip
 
 
 def is_adabins(weights: Mapping[str, Tensor]) -> bool:
-    """Whether these are the names of this layout."""
+    """Return True if these are the names of this layout."""
     return any(name.startswith(f"{_LAYER}.") for name in unwrapped(weights))
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of an AdaBins state dict.
+    """Return config, weights under our names, and the table, of an AdaBins state dict.
 
-    Its depth range is in no file: it is that of NYU here (10 m); KITTI's is 80 m.
+    No file holds the depth range: NYU's is taken (10 m); KITTI's is 80 m.
 
     Raises:
-        InputError: unknown weights, or a missing one that the config is told by.
+        InputError: there are unknown weights, or one that tells the config is missing.
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):

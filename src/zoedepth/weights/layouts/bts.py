@@ -1,4 +1,4 @@
-"""BTS (cleinc/bts ``pytorch/``): what ``bts_main.py`` saves."""
+"""BTS (cleinc/bts ``pytorch/``), as ``bts_main.py`` saves it."""
 
 from collections.abc import Mapping
 
@@ -10,16 +10,16 @@ from zoedepth.errors import InputError
 from zoedepth.weights.layouts.keys import Row, Table, unwrapped
 
 _WIDTH = "decoder.bn5.weight"
-"""Its length is the width of the decoder."""
+"""Weight whose length is the width of the decoder."""
 
 
 def is_bts(weights: Mapping[str, Tensor]) -> bool:
-    """Whether these are the names of BTS's weights."""
+    """Return True if these are the names of this layout."""
     return any(name.startswith("decoder.daspp_") for name in unwrapped(weights))
 
 
 def table(width: int) -> Table:
-    """Names of encoder and decoder; the width tells how many layers lead to the planes."""
+    """Return the names of encoder and decoder. The width tells how many layers lead to the planes."""
     rows = [
         Row("encoder.base_model.fc.*", None),  # a ResNet's ImageNet classifier
         Row("encoder.base_model.*", "encoder.stages.*"),
@@ -48,7 +48,7 @@ def table(width: int) -> Table:
 
 
 def _narrowing(theirs: str, ours: str, channels: int, hidden: int) -> list[Row]:
-    """The layers that halve their channels (``heads.bts.narrowing``)."""
+    """Return the rows of the layers that halve their channels (``heads.bts.narrowing``)."""
     rows = []
     while hidden >= 8:
         rows.append(Row(f"{theirs}.inter_{channels}_{hidden}.0.*", f"{ours}.{2 * len(rows)}.*"))
@@ -58,21 +58,21 @@ def _narrowing(theirs: str, ours: str, channels: int, hidden: int) -> list[Row]:
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table. The range and the focal length are in no weight: NYU's.
+    """Return config, weights under our names, and the table. No weight tells range and focal length: NYU's are taken.
 
     Raises:
-        InputError: unknown weights, or those of an encoder that is not known (BTS's MobileNet, which timm has not).
+        InputError: there are unknown weights, or the encoder is unknown (BTS's MobileNet, which timm does not have).
     """
     given = unwrapped(weights)
     if _WIDTH not in given or given[_WIDTH].ndim != 1:
-        raise InputError(f"{_WIDTH} is missing, or of no known shape")
+        raise InputError(f"{_WIDTH} is missing, or does not have one axis: this is no whole checkpoint of BTS")
     network = BtsNetworkConfig(_encoder(given), width=len(given[_WIDTH]))
     names = table(network.width)
     return BaselineConfig(network), names.to_ours(given), names
 
 
 def _encoder(weights: Mapping[str, Tensor]) -> str:
-    """timm's name of the encoder, told by its first layer, the length of its third stage, and its groups."""
+    """Return timm's name of the encoder, told by its first layer, the length of its third stage, and its groups."""
     for channels, name in ((96, "densenet161"), (64, "densenet121")):
         first = weights.get("encoder.base_model.conv0.weight")
         if first is not None and first.shape[:1] == (channels,):
@@ -87,4 +87,7 @@ def _encoder(weights: Mapping[str, Tensor]) -> str:
         ):
             if tuple(grouped.shape[:2]) == shape and deep == ("101" in name):
                 return name
-    raise InputError("this BTS has another encoder than DenseNet-121 or -161, ResNet or ResNeXt")
+    raise InputError(
+        "this BTS has another encoder than the known ones: DenseNet-121 and -161, ResNet-50 and -101, ResNeXt-50 "
+        "and -101"
+    )

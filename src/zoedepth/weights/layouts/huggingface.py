@@ -15,11 +15,11 @@ from zoedepth.weights.layouts import original, shapes
 from zoedepth.weights.layouts.keys import Row, Table
 
 LAYER_NORM_EPS = 1e-6
-"""Of BEiT, as it was trained. The published folders do not say it, and transformers then takes 1e-12."""
+"""LayerNorm eps that BEiT was trained with. The published folders do not say it; transformers then takes 1e-12."""
 
 
 def _encoder_rows(layout: int) -> list[Row]:
-    """The encoder, whose names transformers 5 changed in memory; files of either kind are about."""
+    """Return the rows of the encoder. transformers 5 changed its names; there are files of both kinds."""
     if layout == 5:
         block, here = "backbone.beit.layers.{}", "encoder.network.blocks.{}"
         attention, embeddings = f"{block}.attention", "backbone.beit.embeddings"
@@ -70,12 +70,12 @@ def _decoder_rows() -> list[Row]:
 
 
 def _mlp(theirs: str, ours: str) -> list[Row]:
-    """A two-layer perceptron: theirs is numbered 1, 2; ours has an activation between 0 and 2."""
+    """Return the rows of a two-layer perceptron. Their layers are 1 and 2, ours 0 and 2, with an activation between."""
     return [Row(f"{theirs}.conv1.*", f"{ours}.0.*"), Row(f"{theirs}.conv2.*", f"{ours}.2.*")]
 
 
 def table(names: tuple[str, ...], *, layout: int) -> Table:
-    """The names in files of transformers 4 (the hub's) or 5, of a model with these heads in the router's order."""
+    """Return the table of transformers 4 (files on the Hub) or 5, for these heads in the router's order."""
     rows = [
         *_encoder_rows(layout),
         *_decoder_rows(),
@@ -110,7 +110,7 @@ def table(names: tuple[str, ...], *, layout: int) -> Table:
 
 
 def layout_of(names: Mapping[str, object]) -> int | None:
-    """4 or 5 for the names in files of that transformers, None for others."""
+    """Return 4 or 5 for names of that version of transformers, None for other names."""
     if any(name.startswith("backbone.beit.") for name in names):
         return 5
     return 4 if any(name.startswith("backbone.encoder.layer.") for name in names) else None
@@ -123,16 +123,16 @@ def read(
     layout: int,
     preprocessor: Mapping[str, Any] | None = None,
 ) -> tuple[ModelConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a transformers checkpoint.
+    """Return config, weights under our names, and the table, of a transformers checkpoint.
 
     Args:
-        weights: under its names.
-        config: its config.json; None: what the shapes tell, as for the original.
-        layout: of ``layout_of``.
+        weights: its weights, under its names.
+        config: its config.json; None: the shapes tell the config, as for the original.
+        layout: 4 or 5, see ``layout_of``.
         preprocessor: its preprocessor_config.json, for the input size.
 
     Raises:
-        InputError: unknown or missing weights, or a config that is no ZoeDepth's.
+        InputError: weights are unknown or missing, or the config is not a ZoeDepth's.
     """
     two_heads = any(name.startswith("metric_head.patch_transformer.") for name in weights)
     if config is None:
@@ -165,7 +165,7 @@ def _config(
     bins: list[dict[str, Any]],
     size: tuple[int, int] | None,
 ) -> ModelConfig:
-    """Our config: what shapes tell is read from them, and the strict loading after it compares them all."""
+    """Return our config. Whatever shapes tell is read from them; strict loading compares all of them later."""
     backbone = config.get("backbone_config") or {}
     if not isinstance(backbone, dict):
         raise InputError("backbone_config in config.json must be an object")
@@ -193,18 +193,18 @@ def _config(
 
 
 def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
-    """ZoeD-K with the range, and where no file says otherwise the input size, that it was trained at.
+    """Give the published ZoeD-K the range that it was trained at, and the input size if no file says another.
 
-    The published config.json of it says 10 m, as the original's code does by default: every depth is then 8 times too
-    small. Nobody can have trained a model of these very sizes with transformers, which does not train.
+    Its published config.json says 10 m, the default of the original's code, which makes every depth 8 times too small.
+    A model of exactly these sizes is the published one: transformers cannot train ZoeDepth.
     """
     released = PRESETS["zoed-m12-k"]
     if replace(model, domains=released.domains, size=released.size) != released:
         return model
     if model.domains[0].max_depth == 10.0:
         warnings.warn(
-            "config.json says that this ZoeD-K reaches 10 m; it was trained to 80 m, and is used so: depths are "
-            "(d - 0.001) * 79.999 / 9.999 + 0.001 of what transformers gives. The old range: compat=['10m']",
+            "config.json says that this ZoeD-K reaches 10 m; it was trained to 80 m, and that is used: a depth d of "
+            "transformers becomes (d - 0.001) * 79.999 / 9.999 + 0.001. For the range of 10 m give compat=['10m']",
             stacklevel=2,
         )
         model = replace(model, domains=released.domains)
@@ -212,7 +212,7 @@ def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelCo
 
 
 def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, Any]) -> None:
-    """Values that change the network without showing in any shape."""
+    """Refuse values that change the network without changing any shape."""
     known = {
         "readout_type": (config, "project"),
         "reassemble_factors": (config, [4, 2, 1, 0.5]),
@@ -227,9 +227,9 @@ def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, An
     for name, (values, expected) in known.items():
         found = values.get(name, expected)
         if (list(found) if isinstance(found, tuple) else found) != expected:
-            raise InputError(f"{name} in config.json is {found!r}; only {expected!r} is known")
+            raise InputError(f"{name} in config.json is {found!r}, but only {expected!r} can be loaded")
     if backbone.get("model_type", "beit") != "beit":
-        raise InputError(f"the backbone in config.json is {backbone['model_type']!r}; ZoeDepth's is BEiT")
+        raise InputError(f"the backbone in config.json is {backbone['model_type']!r}, but only 'beit' can be loaded")
 
 
 def _number(config: Mapping[str, Any], name: str, default: float) -> float:
@@ -255,13 +255,13 @@ def _native(backbone: Mapping[str, Any]) -> tuple[int, int]:
         return side, side
     if not isinstance(side, list | tuple) or len(side) != 2 or not all(isinstance(n, int) for n in side):
         raise InputError(f"image_size of the backbone in config.json must be one or two integers, not {side!r}")
-    # transformers, like MiDaS, reads the position table of a (height, width) picture as one of (width, height). The
-    # released models are square; here the table has the size that gives the same numbers.
+    # transformers, like MiDaS, reads the position table of a (height, width) picture as one of (width, height). For the
+    # square released models it makes no difference. The swap here gives the same numbers for all others.
     return side[1], side[0]
 
 
 def _taps(backbone: Mapping[str, Any]) -> tuple[int, ...] | None:
-    """Blocks whose outputs are used: "stage6" is the output of the sixth, index 5."""
+    """Return the blocks whose outputs are used: "stage6" is the output of the sixth block, index 5."""
     stages = backbone.get("out_features")
     numbers = backbone.get("out_indices")
     if isinstance(stages, list) and all(isinstance(s, str) and s[5:].isdecimal() for s in stages):
@@ -285,7 +285,7 @@ def _size(preprocessor: Mapping[str, Any] | None) -> tuple[int, int] | None:
 
 
 def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The state dict that every transformers since 4.45 loads without a missing or an unexpected key.
+    """Return a state dict that every transformers since 4.45 loads without a missing or an unexpected key.
 
     Raises:
         InputError: transformers has no such model.
@@ -295,7 +295,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     names = tuple(original.DOMAINS.get(domain.name, domain.name) for domain in config.domains)
     theirs = table(names, layout=4).to_theirs(weights)
     width = config.decoder.widths[3]
-    # Demanded, and read by no forward pass.
+    # Demanded, but no forward pass reads them.
     for conv in ("convolution1", "convolution2"):
         unit = f"neck.fusion_stage.layers.0.residual_layer1.{conv}"
         theirs[f"{unit}.weight"], theirs[f"{unit}.bias"] = torch.zeros(width, width, 3, 3), torch.zeros(width)
@@ -303,7 +303,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
 
 
 def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any]:
-    """config.json of ``write``'s folder, given the weights under our names."""
+    """Return the config.json that belongs to ``write``, given the weights under our names."""
     encoder, head = config.encoder, shapes.attractors(config)
     heads = weights["encoder.network.position_tables.0"].shape[1]
     n_blocks = sum(name.startswith("encoder.network.position_tables.") for name in weights)
@@ -367,7 +367,7 @@ def _head_json(head: AttractorConfig) -> dict[str, Any]:
 
 
 def preprocessor_json(config: ModelConfig) -> dict[str, Any]:
-    """preprocessor_config.json: the padding, resizing and normalisation of the original."""
+    """Return preprocessor_config.json: the padding, resizing and normalisation of the original."""
     return {
         "image_processor_type": "ZoeDepthImageProcessor",
         "do_pad": True,

@@ -12,16 +12,16 @@ from zoedepth.errors import InputError
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table. In its patterns ``{}`` is a number, and a ``*`` at the end the rest of the name."""
+    """Line of a table. In its patterns ``{}`` stands for a number, and ``*`` at the end for the rest of the name."""
 
     theirs: str | tuple[str, ...]
-    """Names in the other layout. Several: their tensors, one below the other (dimension 0), are ours."""
+    """Name in the other layout. Several names: their tensors, joined along dimension 0, make ours."""
     ours: str | None
-    """Name here. None: known, and used by no model."""
+    """Our name. None: the weight is known, but no model uses it."""
 
 
 class Table:
-    """A bijection between names, but for the rows that are known and dropped. The first row that matches counts."""
+    """Rows that translate names both ways. The first row that matches counts; rows without our name drop the weight."""
 
     def __init__(self, rows: Sequence[Row]) -> None:
         self.rows = tuple(rows)
@@ -33,10 +33,10 @@ class Table:
         self._ours = [(_compile(row.ours), row) for row in self.rows if row.ours is not None]
 
     def to_ours(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Rename and join. Nothing is copied but what is joined.
+        """Rename and join weights. Only joined tensors are copied.
 
         Raises:
-            InputError: names that no row knows, or a tensor whose sisters are missing or do not go with it.
+            InputError: no row knows a name, or parts of a joined tensor are missing or do not go together.
         """
         found: dict[str, Tensor] = {}
         parts: dict[str, dict[int, Tensor]] = {}
@@ -48,7 +48,7 @@ class Table:
                     if row.ours is not None:
                         target = _fill(row.ours, match.groups())
                         if rows.setdefault(target, (row, match.groups()))[0] is not row:
-                            unknown.append(name)  # a second name of a weight that is there already
+                            unknown.append(name)  # a second name for a weight that is there already
                         parts.setdefault(target, {})[part] = value
                     break
             else:
@@ -69,10 +69,10 @@ class Table:
         return found
 
     def to_theirs(self, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The way back: rename and split; the dropped rows stay away.
+        """Rename and split weights, the way back. Dropped weights do not come back.
 
         Raises:
-            InputError: names that no row knows, which the other layout has no place for.
+            InputError: no row knows a name, so that the other layout has no place for it.
         """
         found: dict[str, Tensor] = {}
         unknown: list[str] = []
@@ -90,7 +90,7 @@ class Table:
         return found
 
     def theirs(self, name: str) -> tuple[str, ...]:
-        """Names in the other layout of one of our weights; none where no row knows it."""
+        """Return the names of one of our weights in the other layout; () if no row knows it."""
         for pattern, row in self._ours:
             if match := pattern.fullmatch(name):
                 patterns = (row.theirs,) if isinstance(row.theirs, str) else row.theirs
@@ -99,20 +99,20 @@ class Table:
 
 
 def unwrapped(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The same under the names a model has that was not wrapped for several GPUs, where all of them say it was."""
+    """Remove the "module." of a model that was wrapped for several GPUs, if all names begin with it."""
     if all(name.startswith(_WRAPPED) for name in weights):
         return {name.removeprefix(_WRAPPED): value for name, value in weights.items()}
     return dict(weights)
 
 
 _WRAPPED = "module."
-"""Begins every name that ``DataParallel`` and ``DistributedDataParallel`` save."""
+"""Prefix of every name that ``DataParallel`` and ``DistributedDataParallel`` save."""
 
 
 def shown(names: Sequence[str], *, limit: int = 8) -> str:
-    """The first names of a list, and how many more there are."""
+    """Format the first names of a list and how many more there are, for messages."""
     more = f" and {len(names) - limit} more" if len(names) > limit else ""
-    # From a file: cut, so that the message stays one.
+    # The names come from a file: long ones are cut.
     return ", ".join(repr(name)[:120] for name in sorted(names)[:limit]) + more
 
 

@@ -9,7 +9,7 @@ from zoedepth.weights.layouts import shapes
 from zoedepth.weights.layouts.keys import Row, Table, unwrapped
 
 TABLE = Table([
-    Row("encoder.original_model.bn2.*", None),  # what follows the map that is used
+    Row("encoder.original_model.bn2.*", None),  # comes after the map that is used
     Row("encoder.original_model.*", "encoder.network.*"),
     Row("decoder.conv2.*", "decoder.bottleneck.*"),
     Row("decoder.up_blocks.{}._net.*", "decoder.levels.{}.convs.*"),
@@ -18,23 +18,23 @@ TABLE = Table([
     Row("decoder.seed_bin_regressor._net.*", "bins.seed.*"),
     Row("decoder.splitters.{}._net.*", "bins.splitters.{}.*"),
     Row("decoder.conv_out.*", "probability.*"),
-    Row("decoder.height_head.*", None),  # its output was used by no loss in the end
+    Row("decoder.height_head.*", None),  # no loss used its output in the end
 ])  # fmt: skip
 
 
 def is_localbins(weights: Mapping[str, Tensor]) -> bool:
-    """Whether these are the names of this layout."""
+    """Return True if these are the names of this layout."""
     return any(name.startswith("decoder.seed_bin_regressor.") for name in unwrapped(weights))
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a LocalBins state dict.
+    """Return config, weights under our names, and the table, of a LocalBins state dict.
 
-    Its depth range is in no file: it is that of NYU here (10 m); KITTI's is 80 m. Its bins begin where the code that
-    trained it began them, one width late.
+    No file holds the depth range: NYU's is taken (10 m); KITTI's is 80 m. The bins begin one width late, as in the code
+    that trained it (``front_padding=False``).
 
     Raises:
-        InputError: unknown weights, or a missing one that the config is told by.
+        InputError: there are unknown weights, or one that tells the config is missing.
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):

@@ -12,7 +12,7 @@ from zoedepth.weights.layouts.keys import Row, Table
 
 
 def rows(prefix: str = "") -> list[Row]:
-    """Names of encoder and decoder; the original ZoeDepth has the same under ``core.core.``."""
+    """Return the rows of encoder and decoder. The original ZoeDepth has them under ``core.core.``."""
     network, scratch = f"{prefix}pretrained.model", f"{prefix}scratch"
     table = [
         Row(f"{network}.cls_token", "encoder.network.cls_token"),
@@ -48,10 +48,10 @@ TABLE = Table(rows())
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[ModelConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a MiDaS state dict: a model without metric heads.
+    """Return config, weights under our names, and the table, of a MiDaS state dict: a model without metric heads.
 
     Raises:
-        InputError: unknown or missing weights; MiDaS's other encoders (Swin, LeViT, ResNeXt) among them.
+        InputError: weights are unknown or missing, as for MiDaS's other encoders (Swin, LeViT, ResNeXt).
     """
     ours = TABLE.to_ours(weights)
     with shapes.errors_named(TABLE):

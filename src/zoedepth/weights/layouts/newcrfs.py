@@ -19,13 +19,13 @@ _SWIN = {
 
 
 def rows() -> list[Row]:
-    """Names of their Swin, pyramid pooling, four levels and last convolution."""
+    """Return the rows of Swin, pyramid pooling, four levels and last convolution."""
     swin = "backbone.layers.{}.blocks.{}"
     table = [
         Row("backbone.patch_embed.*", "encoder.stages.patch_embed.*"),
         Row(f"{swin}.attn.relative_position_index", None),  # computed
         Row(f"{swin}.*", "encoder.stages.layers_{}.blocks.{}.*"),
-        # Theirs end a stage by halving the map, timm's begin with it.
+        # Their stages end by halving the map, timm's begin with it.
         *(Row(f"backbone.layers.{i}.downsample.*", f"encoder.stages.layers_{i + 1}.downsample.*") for i in range(3)),
         Row("backbone.norm{}.*", "encoder.norms.{}.*"),
         Row("decoder.psp_modules.{}.1.conv.*", "decoder.seed.regions.{}.1.*"),
@@ -57,17 +57,17 @@ TABLE = Table(rows())
 
 
 def is_newcrfs(weights: Mapping[str, Tensor]) -> bool:
-    """Whether these are the weights of a NeWCRFs, by their names."""
+    """Return True if these are the names of this layout."""
     return {"backbone.patch_embed.proj.weight", "crf3.crf_layer.blocks.0.attn.qk.weight"} <= unwrapped(weights).keys()
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a NeWCRFs state dict.
+    """Return config, weights under our names, and the table, of a NeWCRFs state dict.
 
-    The depth range is 10 m, that of the network trained on NYU: no weight tells it.
+    No weight tells the depth range: NYU's is taken (10 m).
 
     Raises:
-        InputError: unknown or missing weights, or an encoder that is none of Swin's with windows of 7x7.
+        InputError: weights are unknown or missing, or the encoder is not a Swin with windows of 7x7.
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):
@@ -81,7 +81,7 @@ def _network(ours: Mapping[str, Tensor]) -> NewCrfsNetworkConfig:
     n_blocks = shapes.count_of(ours, "encoder.stages.layers_2.blocks.{}.attn.qkv.weight")
     if (width, n_blocks) not in _SWIN:
         raise shapes.WeightError(
-            name, f"has {width} channels, and the third stage {n_blocks} blocks; known are {sorted(_SWIN)}"
+            name, f"has {width} channels, and the third stage {n_blocks} blocks; the known pairs are {sorted(_SWIN)}"
         )
     tables = ["encoder.stages.layers_0.blocks.0.attn.relative_position_bias_table"]
     tables += [f"decoder.levels.{i}.blocks.0.attention.bias_table" for i in range(4)]

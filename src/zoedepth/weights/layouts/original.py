@@ -15,11 +15,11 @@ from zoedepth.weights.layouts.keys import Row, Table
 
 CORE = "core.core."
 DOMAINS = {"indoor": "nyu", "outdoor": "kitti"}
-"""Our scene type → the data set the original names its head after."""
+"""Our scene type → the data set that the original names its head after."""
 
 
 def table(domains: tuple[str, ...]) -> Table:
-    """The names of a checkpoint with these scene types, in the order of the router's scores."""
+    """Return the table of a checkpoint with these scene types, in the order of the router's scores."""
     if len(domains) == 1:
         return Table([
             *midas.rows(CORE),
@@ -54,18 +54,18 @@ def table(domains: tuple[str, ...]) -> Table:
 
 
 def is_original(names: Mapping[str, object]) -> bool:
-    """Whether these are the names of this layout."""
+    """Return True if these are the names of this layout."""
     return any(name.startswith(CORE) for name in names)
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[ModelConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a state dict of the original.
+    """Return config, weights under our names, and the table, of a state dict of the original.
 
-    The checkpoint holds no config: widths and counts are read from the shapes, and the rest (mean of the pulls,
-    alpha 300, temperatures) is the same in all that was released.
+    The checkpoint holds no config. Shapes tell the widths and counts; the rest (mean of the pulls, alpha 300,
+    temperatures) is the same in all released models.
 
     Raises:
-        InputError: unknown or missing weights, or shapes of no such model.
+        InputError: weights are unknown or missing, or no such model has these shapes.
     """
     # The original fixes the router's names and their order.
     domains = ("indoor", "outdoor") if any(name.startswith("patch_transformer.") for name in weights) else ("indoor",)
@@ -76,14 +76,14 @@ def read(weights: Mapping[str, Tensor]) -> tuple[ModelConfig, dict[str, Tensor],
 
 
 def config_of(weights: Mapping[str, Tensor]) -> ModelConfig:
-    """The config of weights under our names, of a model of the original's code."""
+    """Return the config of a model of the original's code, told by the shapes of its weights under our names."""
     if any(name.startswith("router.") for name in weights):
         head = shapes.head(weights, centers="softplus")
         return shapes.model(weights, head=head, domains=(INDOOR, OUTDOOR), size=PRESETS["zoed-m12-nk"].size)
     n_points = shapes.attractor_channels(weights)
     if n_points == tuple(2 * n for n in shapes.attractors(PRESETS["zoed-m12-k"]).n_attractors):
-        # Normed centers predict pairs of points. Their range is in no checkpoint; 10 m, the original's default, makes
-        # every depth 8 times too small.
+        # Normed centers predict pairs of points. No checkpoint holds their range. The original's default of 10 m would
+        # make every depth 8 times too small.
         head = shapes.head(weights, centers="normed")
         return shapes.model(weights, head=head, domains=(OUTDOOR,), size=PRESETS["zoed-m12-k"].size)
     head = shapes.head(weights, centers="softplus")
@@ -91,7 +91,7 @@ def config_of(weights: Mapping[str, Tensor]) -> ModelConfig:
 
 
 def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The state dict that the original's code loads strictly, unused weights included.
+    """Return a state dict that the original's code loads strictly, unused weights included.
 
     Raises:
         InputError: the original's code has no such model.
@@ -106,7 +106,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     problems += differences(fixed)
     if len(names) == 2 and names != tuple(DOMAINS):
         problems.append(f"domains {names} (the original has {tuple(DOMAINS)} only)")
-    # Its file holds no config: what is read back from the weights must be this model again.
+    # The file holds no config: the shapes alone must tell this model.
     if not problems:
         again = config_of(weights)
         ratio = shapes.attractors(again).attractor_ratio
@@ -123,7 +123,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
 
 
 def refusals(config: ModelConfig) -> list[str]:
-    """What a config has that neither the original's code nor transformers can do."""
+    """Return the parts of a config that neither the original's code nor transformers can do."""
     head, released = shapes.attractors(config), shapes.attractors(PRESETS["zoed-m12-n"])
     embedding = head.embedding_width
     values: dict[str, tuple[object, object]] = {
@@ -160,7 +160,7 @@ def refusals(config: ModelConfig) -> list[str]:
 
 
 def differences(values: Mapping[str, tuple[object, object]]) -> list[str]:
-    """What is said of each name whose value is not the only one that is known."""
+    """Return a message for each name whose value (first) is not the only known one (second)."""
     return [f"{name} {value!r} (it has {known!r} only)" for name, (value, known) in values.items() if value != known]
 
 
@@ -169,7 +169,7 @@ def _range(config: ModelConfig) -> tuple[float, float]:
 
 
 def _unused(config: ModelConfig, theirs: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The weights no forward pass reads, which the original's strict loading demands; made up, as nobody sees them."""
+    """Make up the weights that no forward pass reads and that the original's strict loading demands."""
     width, channels = config.decoder.widths[3], theirs[f"{CORE}pretrained.model.cls_token"].shape[-1]
     unused = {
         f"{CORE}scratch.refinenet4.resConfUnit1.{conv}.{kind}": torch.zeros(shape)
@@ -185,7 +185,7 @@ def _unused(config: ModelConfig, theirs: Mapping[str, Tensor]) -> dict[str, Tens
     }
     index = relative_position_index((config.encoder.size[0] // 16, config.encoder.size[1] // 16))
     n_blocks = sum(name.endswith("relative_position_bias_table") for name in theirs)
-    # timm < 0.9.6, which the original pins, demands them; newer ones must be told strict=False. One tensor, 24 names.
+    # The original pins a timm < 0.9.6, which demands them; a newer one needs strict=False. One tensor has 24 names.
     unused |= {f"{model}.blocks.{i}.attn.relative_position_index": index for i in range(n_blocks)}
     heads = [""] if len(config.domains) == 1 else [f"{DOMAINS.get(d.name, d.name)}." for d in config.domains]
     n_bins = shapes.attractors(config).n_bins

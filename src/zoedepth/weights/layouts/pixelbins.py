@@ -13,17 +13,17 @@ TABLE = Table([*unet_rows(), Row("bins_out.0.*", "bins.widths.*"), Row("conv_out
 
 
 def is_pixelbins(weights: Mapping[str, Tensor]) -> bool:
-    """Whether these are the names of this layout."""
+    """Return True if these are the names of this layout."""
     return any(name.startswith("bins_out.0.") for name in unwrapped(weights))
 
 
 def read(weights: Mapping[str, Tensor]) -> tuple[BaselineConfig, dict[str, Tensor], Table]:
-    """Config, weights under our names, and the table, of a PixelBins state dict.
+    """Return config, weights under our names, and the table, of a PixelBins state dict.
 
-    Its depth range is in no file; its code trains with 0.001 to 80 m everywhere, on NYU too.
+    No file holds the depth range; its code trains with 0.001 to 80 m everywhere, on NYU too.
 
     Raises:
-        InputError: unknown weights, or a missing one that the config is told by.
+        InputError: there are unknown weights, or one that tells the config is missing.
     """
     ours = TABLE.to_ours(unwrapped(weights))
     with shapes.errors_named(TABLE):

@@ -1,4 +1,4 @@
-"""The config that weights under our names belong to, read from their shapes."""
+"""Tell the config of a model by the shapes of its weights, which have our names."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -31,16 +31,16 @@ def model(
     encoder: EncoderConfig | None = None,
     attention_heads: int = 4,
 ) -> ModelConfig:
-    """A whole model of the given scene types.
+    """Return the config of a whole model with the given scene types.
 
     Args:
-        weights: under our names.
+        weights: weights under our names.
         head, domains, size: see ``ModelConfig``.
-        encoder: None: what the shapes tell.
-        attention_heads: of the router, where there are several domains.
+        encoder: its config; None: told by the shapes.
+        attention_heads: attention heads of the router, if there are several domains.
 
     Raises:
-        InputError: a weight that is needed to tell is missing, or no such model exists.
+        InputError: a weight that tells something is missing, or no such model exists.
     """
     return ModelConfig(
         encoder or beit(weights),
@@ -55,12 +55,12 @@ def model(
 def beit(
     weights: Weights, *, native: tuple[int, int] | None = None, taps: tuple[int, ...] | None = None
 ) -> EncoderConfig:
-    """The BEiT of these weights: one of ``presets.ENCODERS`` where it is, else of the widths found.
+    """Return the config of the BEiT: one of ``presets.ENCODERS`` if the widths fit, else a config of these widths.
 
     Args:
-        weights: under our names.
-        native: (height, width) in pixels of the position tables; None: they are square.
-        taps: blocks the maps are taken from; None: the last of each quarter, as in all of MiDaS.
+        weights: weights under our names.
+        native: (height, width) in pixels that the position tables were made for; None: square.
+        taps: blocks that maps are taken from; None: the last of each quarter, as in all of MiDaS.
     """
     n_rows, heads = shape_of(weights, "encoder.network.position_tables.0", 2)
     width = shape_of(weights, "encoder.network.cls_token", 3)[2]
@@ -70,11 +70,17 @@ def beit(
     if native is None:
         side = math.isqrt(max(n_rows - 3, 0))
         if side**2 + 3 != n_rows or side % 2 == 0:
-            raise InputError(f"position tables of {n_rows} rows are not those of a square picture: a config is needed")
+            raise InputError(
+                f"position tables of {n_rows} rows are not those of a square picture: a config is needed, put "
+                "config.json beside the weights"
+            )
         native = (PATCH * (side + 1) // 2, PATCH * (side + 1) // 2)
     if taps is None:
         if n_blocks < 4 or n_blocks % 4:
-            raise InputError(f"{n_blocks} encoder blocks have no four quarters: a config is needed")
+            raise InputError(
+                f"{n_blocks} encoder blocks have no four quarters: a config is needed, put config.json beside the "
+                "weights"
+            )
         taps = tuple(n_blocks * (i + 1) // 4 - 1 for i in range(4))
     for known, (known_width, known_heads) in _KNOWN.items():
         config = ENCODERS[known]
@@ -99,29 +105,32 @@ _KNOWN = {
     "beit_large_patch16_512": (1024, 16),
     "beit_base_patch16_384": (768, 12),
 }
-"""Width and heads of the encoders that were released; timm knows them, but only once a model is built."""
+"""Name of a released encoder → its width and heads. timm knows them too, but only after building a model."""
 
 
 def attractors(config: ModelConfig) -> AttractorConfig:
-    """The head of a model that other people's layouts can hold.
+    """Return the config of the attractor head, the only kind that other people's layouts can hold.
 
     Raises:
-        InputError: it has another kind of head.
+        InputError: the model has another kind of head.
     """
     if not isinstance(config.head, AttractorConfig):
-        raise InputError(f"other layouts than ours have attractor heads only, not {type(config.head).__name__}")
+        raise InputError(
+            f"other layouts than ours hold attractor heads only, not {type(config.head).__name__}: write the zoedepth "
+            "layout"
+        )
     return config.head
 
 
 def decoder(weights: Weights) -> DecoderConfig:
-    """The DPT decoder of these weights."""
+    """Return the config of the DPT decoder."""
     widths = [shape_of(weights, f"decoder.project.{i}.weight", 4)[0] for i in range(4)]
     features = shape_of(weights, "decoder.relative_head.conv2.weight", 4)[0]
     return DecoderConfig(widths=(widths[0], widths[1], widths[2], widths[3]), features=features)
 
 
 def attractor_channels(weights: Weights) -> tuple[int, ...]:
-    """Output channels of the four attractor layers: points, or pairs of them for normed centers."""
+    """Return the output channels of the four attractor layers: points, or pairs of points for normed centers."""
     return tuple(shape_of(weights, f"heads.0.attractors.{i}.mlp.2.weight", 4)[0] for i in range(4))
 
 
@@ -133,7 +142,7 @@ def head(
     min_temperature: float = 0.0212,
     max_temperature: float = 50.0,
 ) -> AttractorConfig:
-    """The metric head of these weights; what no shape tells is given, or as in all that was released."""
+    """Return the config of the metric head. No shape tells the keywords; their defaults are the released models'."""
     counts = attractor_channels(weights)
     if centers == "normed":
         if any(count % 2 for count in counts):
@@ -164,7 +173,7 @@ def head(
 
 
 def router(weights: Weights, *, attention_heads: int) -> RouterConfig:
-    """The transformer router of these weights."""
+    """Return the config of the transformer router."""
     width = shape_of(weights, "router.classifier.project.weight", 4)[0]
     hidden = shape_of(weights, "router.classifier.transformer.layers.0.linear1.weight", 2)[0]
     return RouterConfig(
@@ -177,10 +186,10 @@ def router(weights: Weights, *, attention_heads: int) -> RouterConfig:
 
 
 def shape_of(weights: Weights, name: str, n_axes: int) -> tuple[int, ...]:
-    """Shape of one of our weights, of which ``n_axes`` axes are expected.
+    """Return the shape of one of our weights, which must have ``n_axes`` axes.
 
     Raises:
-        WeightError: it is missing, or has another number of axes, or nothing in it.
+        WeightError: the weight is missing, is empty, or has another number of axes.
     """
     if name not in weights:
         raise WeightError(name, "is missing")
@@ -191,7 +200,7 @@ def shape_of(weights: Weights, name: str, n_axes: int) -> tuple[int, ...]:
 
 
 def count_of(weights: Weights, pattern: str) -> int:
-    """How many of a numbered weight there are, from 0."""
+    """Count the weights of a numbered name, from 0."""
     n = 0
     while pattern.format(n) in weights:
         n += 1
@@ -199,11 +208,11 @@ def count_of(weights: Weights, pattern: str) -> int:
 
 
 class WeightError(InputError):
-    """A weight from which the config cannot be told.
+    """Error about a weight that does not tell the config.
 
     Args:
-        name: under our names.
-        problem: what is wrong with it, as the rest of the sentence.
+        name: our name of the weight.
+        problem: rest of the sentence that begins with the name.
     """
 
     def __init__(self, name: str, problem: str) -> None:
@@ -217,7 +226,7 @@ class WeightError(InputError):
 
 @contextmanager
 def errors_named(table: Table) -> Iterator[None]:
-    """Inside, a ``WeightError`` calls the weight as the file does."""
+    """Make a ``WeightError`` inside use the file's name of the weight."""
     try:
         yield
     except WeightError as error:

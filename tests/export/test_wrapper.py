@@ -1,0 +1,47 @@
+"""The exported form of a model computes what the model computes."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from tests.export.models import DOMAINS, HEADS, PAIR, balanced, flat
+
+from zoedepth.build import build_model
+from zoedepth.config import ModelConfig, RouterConfig
+from zoedepth.errors import InputError
+from zoedepth.export.wrapper import ExportModel
+from zoedepth.presets import ZOED_LITE
+
+
+@pytest.mark.parametrize("name", HEADS)
+@torch.no_grad()
+def test_each_image_has_the_depth_of_its_own_head(name: str, tiny_config: ModelConfig):
+    model = balanced(flat(HEADS[name](tiny_config), 2))
+    wrapped = ExportModel(model).eval()
+    for domain in (None, torch.tensor([0, 0]), torch.tensor([1, 0]), torch.tensor([1, 1])):
+        expected = model(PAIR, domain=domain, return_std=True)
+        found = wrapped.outputs(PAIR, torch.tensor([-1, -1]) if domain is None else domain)
+        assert torch.allclose(found.predicted_depth, expected.depth[:, 0], rtol=1e-4, atol=1e-5)
+        assert torch.allclose(found.domain_logits, model(PAIR).domain_logits, rtol=1e-4, atol=1e-5)
+        assert (found.std is None) == (expected.std is None)
+        if expected.std is not None:
+            assert torch.allclose(found.std, expected.std[:, 0], rtol=1e-3, atol=1e-4)
+    assert model(PAIR).domain.tolist() in ([0, 1], [1, 0])
+
+
+@torch.no_grad()
+def test_a_model_with_one_head_needs_no_domain(tiny_config: ModelConfig):
+    model = flat(tiny_config, 1)
+    depth, std = ExportModel(model).eval()(PAIR)
+    expected = model(PAIR, return_std=True)
+    assert torch.allclose(depth, expected.depth[:, 0], rtol=1e-4, atol=1e-5)
+    assert torch.allclose(std, expected.std[:, 0], rtol=1e-3, atol=1e-4)
+
+
+def test_models_whose_head_nothing_in_the_graph_chooses_are_refused(tiny_config: ModelConfig):
+    labeled = build_model(replace(tiny_config, domains=DOMAINS, router=RouterConfig(kind="labeled")))
+    voting = build_model(replace(tiny_config, router=replace(tiny_config.router, vote="batch")))
+    relative = build_model(replace(ZOED_LITE, domains=()))
+    for model, message in ((labeled, "labeled router"), (voting, "votes"), (relative, "without metric heads")):
+        with pytest.raises(InputError, match=message):
+            ExportModel(model)

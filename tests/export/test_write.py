@@ -1,0 +1,302 @@
+"""Exported files: the same depth as torch at any size, and nothing left behind where it is not.
+
+Exporting takes seconds: one file of each kind is made once for the whole module.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tests.baselines.test_every_baseline import build as build_baseline
+from tests.baselines.test_every_baseline import photos
+from tests.export.models import HEADS, PAIR, balanced, beit, flat
+from tests.model.test_encoder import TINY_SWIN
+from torch import Tensor, nn
+
+import zoedepth.export.write
+from zoedepth import save_model
+from zoedepth.cli import main
+from zoedepth.config import ModelConfig
+from zoedepth.errors import InputError
+from zoedepth.export import export_model, load_exported
+from zoedepth.export.wrapper import ExportModel
+from zoedepth.export.write import OPSET, ExportError, Format
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.presets import ENCODERS
+from zoedepth.weights.exported import OpenVinoModel
+from zoedepth.weights.openvino_graph import LARGE
+
+MODELS: dict[str, Callable[[ModelConfig], ZoeDepth]] = {
+    "one domain": lambda config: flat(config, 1),
+    "two domains": lambda config: beit(config, 2),
+    "mlp router": lambda config: balanced(flat(config, 2)),
+}
+NAMES: dict[Format, str] = {"onnx": "model.onnx", "openvino": "model.xml", "torch-export": "model.pt2"}
+FORMATS = pytest.mark.parametrize("to", ["onnx", "openvino"])
+Exports = Callable[[str, Format], tuple[ZoeDepth, Path]]
+
+
+@pytest.fixture(scope="module")
+def exports(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFactory) -> Exports:
+    """Models of ``MODELS`` and their files, each made when it is first asked for."""
+
+    @cache
+    def model_of(name: str) -> ZoeDepth:
+        return MODELS[name](tiny_config)
+
+    @cache
+    def files(name: str, to: Format) -> tuple[ZoeDepth, Path]:
+        path = tmp_path_factory.mktemp("export") / NAMES[to]
+        assert export_model(model_of(name), path, to=to) < 1e-4
+        return model_of(name), path
+
+    return files
+
+
+@FORMATS
+@pytest.mark.parametrize("name", MODELS)
+@torch.no_grad()
+def test_depth_is_that_of_torch_at_any_size_and_head(exports: Exports, name: str, to: Format):
+    model, path = exports(name, to)
+    exported = load_exported(path)
+    assert exported.config == model.config
+    heads = [None, torch.tensor([0, 1])] if len(model.config.domains) > 1 else [None]
+    for size in ((64, 64), (96, 64), (64, 160)):
+        pixels = torch.rand(2, 3, *size, generator=torch.Generator().manual_seed(size[1]))
+        for domain in heads:
+            found = exported(pixels, domain=domain, return_std=True)
+            expected = model(pixels, domain=domain, return_std=True)
+            assert found.domain.tolist() == expected.domain.tolist()
+            assert torch.allclose(found.depth, expected.depth, rtol=1e-4, atol=1e-5)
+            assert torch.allclose(found.std, expected.std, rtol=1e-3, atol=1e-4)
+
+
+@FORMATS
+@torch.no_grad()
+def test_images_of_a_batch_take_heads_of_their_own(exports: Exports, to: Format):
+    model, path = exports("mlp router", to)
+    expected, found = model(PAIR), load_exported(path)(PAIR)
+    assert set(expected.domain.tolist()) == {0, 1}
+    assert found.domain.tolist() == expected.domain.tolist()
+    assert torch.allclose(found.depth, expected.depth, rtol=1e-4, atol=1e-5)
+
+
+def test_names_and_metadata_are_what_other_programs_look_for(exports: Exports):
+    import onnxruntime
+
+    _, path = exports("two domains", "onnx")
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    assert [x.name for x in session.get_inputs()] == ["pixel_values"]
+    assert session.get_inputs()[0].shape == ["batch", 3, "height", "width"]
+    assert [x.name for x in session.get_overridable_initializers()] == ["domain"]
+    assert [x.name for x in session.get_outputs()] == ["predicted_depth", "std", "domain_logits"]
+    said = json.loads(session.get_modelmeta().custom_metadata_map["zoedepth"])
+    assert said["unit"] == "metre"
+    assert said["domains"] == ["indoor", "outdoor"]
+    assert said["preprocessing"]["multiple"] == 32
+
+
+@torch.no_grad()
+def test_a_torch_program_takes_any_batch(tiny_config: ModelConfig, tmp_path: Path):
+    model = beit(tiny_config, 2)
+    export_model(model, tmp_path / "model.pt2", to="torch-export", size=(64, 96))
+    program = torch.export.load(tmp_path / "model.pt2").module()
+    pixels, domain = torch.rand(3, 3, 64, 96), torch.tensor([1, 0, 1])
+    assert torch.allclose(program(pixels, domain)[0], model(pixels, domain=domain).depth[:, 0], rtol=1e-4, atol=1e-5)
+    assert torch.allclose(
+        program(pixels, torch.tensor([-1, -1, -1]))[0], model(pixels).depth[:, 0], rtol=1e-4, atol=1e-5
+    )
+
+
+def test_a_file_with_other_depth_is_refused_and_removed(
+    tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    model = flat(tiny_config, 1)
+    write = zoedepth.export.write._write_onnx
+
+    def spoiled(wrapped, path):
+        bias = wrapped.model.decoder.relative_head.conv2.bias
+        before = bias.detach().clone()
+        with torch.no_grad():
+            bias += 1.0
+        write(wrapped, path)
+        with torch.no_grad():
+            bias.copy_(before)
+
+    monkeypatch.setattr(zoedepth.export.write, "_write_onnx", spoiled)
+    (tmp_path / "model.onnx").write_text("earlier")
+    with pytest.raises(ExportError, match="gives other depth than torch"):
+        export_model(model, tmp_path / "model.onnx", to="onnx")
+    assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
+    assert (tmp_path / "model.onnx").read_text() == "earlier"
+
+
+def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(tiny_config: ModelConfig, tmp_path: Path):
+    import openvino
+
+    coarse = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    Image.fromarray(coarse).resize((96, 64)).save(tmp_path / "photo.png")
+    path = tmp_path / "model.xml"
+    export_model(beit(tiny_config, 2), path, to="openvino", int8=True, photos=[tmp_path / "photo.png"])
+    core: Any = openvino.Core()
+    found = {True: [], False: []}
+    for node in core.read_model(path).get_ops():
+        if node.get_type_name() in ("Convolution", "ConvolutionBackpropData", "MatMul"):
+            weight = node.input_value(1).get_node()
+            found[weight.get_type_name() == "Multiply"].append(node.get_friendly_name())  # 8 bits times a scale
+    exact = ("/attractors", "/probability", "/seed", "/router", "/MatMul")
+    assert all(name.startswith(exact) for name in found[False] if "attn" not in name)
+    assert not any(name.startswith(exact) for name in found[True])
+    assert sum("mlp/fc" in name for name in found[True]) == 2 * 4
+    assert sum("ConvolutionBackpropData" in name for name in found[True]) == 2
+
+
+def test_the_command_line_writes_and_reads_exported_files(tmp_path: Path, capsys: pytest.CaptureFixture):
+    """In float32 for ONNX Runtime, and in 8 bits, calibrated on two photos, for OpenVINO."""
+    generator = np.random.default_rng(0)
+    (tmp_path / "photos").mkdir()
+    for name in ("photo.png", "other.png"):
+        coarse = generator.integers(0, 256, (6, 8, 3), dtype=np.uint8)
+        Image.fromarray(coarse).resize((352, 256)).save(tmp_path / "photos" / name)
+    int8 = ["--int8", "--calibrate", str(tmp_path / "photos")]
+    photo, depth = str(tmp_path / "photos/photo.png"), {}
+    for to, name, options in (("onnx", "lite.onnx", []), ("openvino", "lite.xml", int8), ("torch", "zoed-lite", [])):
+        file = str(tmp_path / name) if to != "torch" else name
+        if to != "torch":
+            assert main(["export", "zoed-lite", "--to", to, "--out", file, *options]) == 0
+            assert capsys.readouterr().out.splitlines()[-1] == file
+        assert main(["predict", photo, "--out", str(tmp_path / to), "--model", file, "--no-flip"]) == 0
+        depth[to] = np.asarray(Image.open(tmp_path / to / "photo_depth.png")).astype(int)
+    assert (tmp_path / "lite.xml").read_text().count('type="FakeQuantize"') > 50
+    assert np.abs(depth["onnx"] - depth["torch"]).max() <= 1
+    assert 0 < (np.abs(depth["openvino"] - depth["torch"]) / depth["torch"]).mean() < 0.1
+
+
+class Together(nn.Module):
+    """Models with different heads on the same encoder and decoder: one export for all of them."""
+
+    def __init__(self, models: dict[str, ZoeDepth]) -> None:
+        super().__init__()
+        self.parts = nn.ModuleDict({name: ExportModel(model) for name, model in models.items()})
+        first, *others = (part.model for part in self.parts.values())
+        self.features_of = first.relative_features
+        for model in (first, *others):
+            model.relative_features = lambda _: self.features
+
+    def forward(self, pixel_values: Tensor, domain: Tensor) -> tuple[Tensor, ...]:
+        """The depth of each."""
+        self.features = self.features_of(pixel_values)
+        return tuple(part.outputs(pixel_values, domain).predicted_depth for part in self.parts.values())
+
+
+@pytest.fixture
+def together(tiny_config: ModelConfig) -> Together:
+    return Together({name: balanced(flat(change(tiny_config), 2)) for name, change in HEADS.items()}).eval()
+
+
+ANY_HEADS = [(PAIR, torch.tensor([-1, -1])), (torch.rand(3, 3, 64, 96), torch.tensor([1, 0, -1]))]
+
+
+@torch.no_grad()
+def test_all_heads_are_the_same_in_openvino(together: Together, tmp_path: Path):
+    import openvino
+
+    with torch.enable_grad():  # or what heads compute in pieces would be traced piece by piece
+        torch.onnx.export(
+            together, ANY_HEADS[0], tmp_path / "heads.onnx", input_names=["pixels", "domain"], opset_version=OPSET,
+            dynamic_axes={"pixels": {0: "batch", 2: "height", 3: "width"}, "domain": {0: "batch"}}, dynamo=False,
+        )  # fmt: skip
+    core: Any = openvino.Core()
+    run = core.compile_model(
+        openvino.convert_model(tmp_path / "heads.onnx"), "CPU", {"INFERENCE_PRECISION_HINT": "f32"}
+    )
+    for pixels, domain in ANY_HEADS:
+        found = run([pixels.numpy(), domain.numpy()])
+        for name, output, expected in zip(HEADS, run.outputs, together(pixels, domain), strict=True):
+            assert np.allclose(found[output], expected, rtol=1e-4, atol=1e-5), name
+
+
+def test_all_heads_are_programs_of_any_batch(together: Together):
+    inputs = [(pixels[:, :, :, :64], domain) for pixels, domain in ANY_HEADS]
+    for name, found, expected in zip(HEADS, *run_program(together, *inputs), strict=True):
+        assert torch.allclose(found, expected, rtol=1e-4, atol=1e-5), name
+
+
+def run_program(
+    module: nn.Module, inputs: tuple[Tensor, ...], others: tuple[Tensor, ...]
+) -> tuple[tuple[Tensor, ...], tuple[Tensor, ...]]:
+    """Outputs for other inputs than ``torch.export`` saw, of its program and of the module.
+
+    The program is neither saved nor loaded: ``test_a_torch_program_takes_any_batch`` does that.
+    """
+    shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},) * len(inputs)
+    program = torch.export.export(module, inputs, dynamic_shapes=shapes, strict=False).module()
+    with torch.no_grad():
+        return program(*others), module(*others)
+
+
+@pytest.mark.parametrize("name", ["swin", "convolutional"])
+def test_other_encoders_are_exported_too(name: str, tiny_config: ModelConfig, tmp_path: Path):
+    encoder = TINY_SWIN if name == "swin" else ENCODERS["tf_efficientnet_lite0"]
+    model = beit(replace(tiny_config, encoder=encoder, size=(64, 64)), 1, "mlp")
+    assert export_model(model, tmp_path / "model.xml", to="openvino") < 1e-4
+    if name == "swin":
+        found, expected = run_program(ExportModel(model).eval(), (PAIR,), (torch.rand(3, 3, 64, 64),))
+        assert torch.allclose(found[0], expected[0], rtol=1e-4, atol=1e-5)
+
+
+@torch.no_grad()
+def test_openvino_compiles_for_the_first_shape_and_once_more_for_all_others(exports: Exports):
+    model, path = exports("two domains", "openvino")
+    exported = load_exported(path)
+    assert isinstance(exported, OpenVinoModel)
+    sizes = [(1, 3, 256, 288), (1, 3, 64, 96), (2, 3, 256, 288), (1, 3, 256, 288)]  # large biases at first
+    for size in sizes:
+        pixels = torch.rand(*size, generator=torch.Generator().manual_seed(0))
+        assert torch.allclose(exported(pixels).depth, model(pixels).depth, rtol=1e-4, atol=1e-5)
+    assert exported.first_shape == sizes[0]
+    assert set(exported.compiled) == {(True, False), (False, False)}
+    biases = 4 * (16 * 18 + 1) ** 2
+    assert biases > LARGE
+
+
+def test_what_cannot_be_traced_is_said(tmp_path: Path):
+    with pytest.raises(InputError, match="torch-export only"):
+        export_model(build_baseline("newcrfs"), tmp_path / "model.xml", to="openvino")
+    with pytest.raises(ExportError, match="torch-export only"):
+        export_model(build_baseline("adabins"), tmp_path / "model.onnx", to="onnx")
+    assert list(tmp_path.iterdir()) == []
+    wrapped = ExportModel(build_baseline("adabins")).eval()
+    program = torch.export.export(wrapped, (photos("adabins"),), strict=False).module()
+    with torch.no_grad():
+        assert torch.allclose(program(photos("adabins"))[0], wrapped(photos("adabins"))[0], rtol=1e-4)
+
+
+def test_wrong_wishes_are_refused(tiny_config: ModelConfig, tmp_path: Path):
+    model = beit(tiny_config, 2)
+    path = tmp_path / "model.onnx"
+    with pytest.raises(InputError, match=r"ends with .xml"):
+        export_model(model, path, to="openvino")
+    with pytest.raises(InputError, match="openvino only"):
+        export_model(model, path, to="onnx", int8=True)
+    with pytest.raises(InputError, match="training mode"):
+        export_model(beit(tiny_config, 2).train(), path, to="onnx")
+    with pytest.raises(InputError, match="multiples of 32"):
+        export_model(model, tmp_path / "model.pt2", to="torch-export", size=(64, 65))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_weights_and_the_model_stay_as_they_are(tiny_config: ModelConfig, tmp_path: Path):
+    model = beit(tiny_config, 2)
+    save_model(model, tmp_path / "before.safetensors")
+    export_model(model, tmp_path / "model.onnx", to="onnx")
+    save_model(model, tmp_path / "after.safetensors")
+    assert (tmp_path / "before.safetensors").read_bytes() == (tmp_path / "after.safetensors").read_bytes()
+    assert any(isinstance(module, torch.nn.TransformerEncoder) for module in model.modules())

@@ -1,0 +1,166 @@
+"""Exported files: those that run here, those that are refused, and small ones that would unpack to gigabytes."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import openvino
+import pytest
+import torch
+from onnx import TensorProto, helper
+from tests.weights.layouts.test_files import little_memory
+
+from zoedepth.config import to_dict
+from zoedepth.errors import InputError
+from zoedepth.predict import Predictor
+from zoedepth.presets import PRESETS
+from zoedepth.weights.exported import METADATA, is_exported, load_exported
+from zoedepth.weights.load import load_model
+
+FAR = PRESETS["zoed-m12-n"]
+SOUND = json.dumps({"config": to_dict(FAR)})
+SIDES = ["batch", 3, "height", "width"]
+
+
+def onnx_file(path: Path, *nodes: Any, outputs: tuple[str, ...] = (), metadata: str | None = SOUND) -> Path:
+    """A graph that gives the mean colour for depth, with more nodes before it."""
+    pixels = helper.make_tensor_value_info("pixel_values", TensorProto.FLOAT, SIDES)
+    names = ("predicted_depth", *outputs)
+    given = [helper.make_tensor_value_info(name, TensorProto.FLOAT, None) for name in names]
+    mean = helper.make_node("ReduceMean", ["pixel_values"], ["predicted_depth"], axes=[1], keepdims=0)
+    values = [helper.make_tensor("many", TensorProto.INT64, [2], [2**15, 2**15])]
+    graph = helper.make_graph([*nodes, mean], "g", [pixels], given, values)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    if metadata is not None:
+        helper.set_model_props(model, {METADATA: metadata})
+    onnx.save(model, path)
+    return path
+
+
+def openvino_file(path: Path, source: Path) -> Path:
+    """The same graph for OpenVINO."""
+    graph: Any = openvino.Core().read_model(source)
+    graph.set_rt_info(SOUND, METADATA)
+    openvino.save_model(graph, path)
+    return path
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return onnx_file(tmp_path / "model.onnx")
+
+
+def test_suffixes_tell_exported_files():
+    assert is_exported("a/model.onnx")
+    assert is_exported(Path("MODEL.XML"))
+    assert not is_exported("model.safetensors")
+    assert not is_exported("zoed-lite")
+
+
+@pytest.mark.parametrize("load", [load_exported, load_model])
+def test_files_of_both_runtimes_run(load: Callable, file: Path, tmp_path: Path):
+    pixels = torch.rand(2, 3, 64, 96)
+    for path in (file, openvino_file(tmp_path / "model.xml", file)):
+        model = load(path)
+        assert model.config == FAR
+        assert not model.training
+        assert torch.allclose(model(pixels).depth[:, 0], pixels.mean(dim=1), atol=1e-5)
+
+
+def test_foreign_and_broken_files_are_refused(tmp_path: Path):
+    for name in ("broken.onnx", "broken.xml"):
+        (tmp_path / name).write_bytes(b"no graph")
+        with pytest.raises(InputError, match="cannot be read"):
+            load_exported(tmp_path / name)
+    with pytest.raises(InputError, match="there is no file"):
+        load_exported(tmp_path / "missing.onnx")
+    with pytest.raises(InputError, match=r"give a .onnx or .xml file"):
+        load_exported(Path(__file__))
+    with pytest.raises(InputError, match="not made by zoedepth export"):
+        load_exported(onnx_file(tmp_path / "foreign.onnx", metadata=None))
+
+
+@pytest.mark.parametrize("metadata", ["{", "[1]", "{}", '{"config": 3}', '{"config": {}}', "[" * 10_000])
+def test_damaged_metadata_is_refused(tmp_path: Path, metadata: str):
+    with pytest.raises(InputError, match=r"model.onnx"):
+        load_exported(onnx_file(tmp_path / "model.onnx", metadata=metadata))
+
+
+def test_an_exported_model_says_what_it_cannot_do(file: Path):
+    exported = load_exported(file)
+    with pytest.raises(InputError, match="no bins"):
+        exported(torch.rand(1, 3, 64, 64), return_bins=True)
+    with pytest.raises(InputError, match="relative"):
+        exported.relative(torch.rand(1, 3, 64, 64))
+    with pytest.raises(InputError, match="cannot be moved"):
+        Predictor(exported, device="cuda")
+    with pytest.raises(InputError, match="behaviours built in"):
+        load_model(file, compat=("squeeze",))
+
+
+# --- bombs ------------------------------------------------------------------------------------------------------------
+
+ONE = helper.make_node("Constant", [], ["one"], value=helper.make_tensor("one", TensorProto.FLOAT, [1, 1], [1.0]))
+BOMBS = {
+    "filled": [helper.make_node("ConstantOfShape", ["many"], ["big"])],
+    "expanded": [ONE, helper.make_node("Expand", ["one", "many"], ["big"])],
+    "tiled": [ONE, helper.make_node("Tile", ["one", "many"], ["big"])],
+    "multiplied": [
+        helper.make_node("Mul", ["many", "many"], ["more"]),
+        helper.make_node("ConstantOfShape", ["more"], ["big"]),
+    ],
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+@pytest.mark.parametrize("suffix", [".onnx", ".xml"])
+def test_graph_that_would_unpack_to_gigabytes_is_not_run(tmp_path: Path, bomb: str, suffix: str):
+    path = onnx_file(tmp_path / "bomb.onnx", *BOMBS[bomb], outputs=("big",))
+    if suffix == ".xml":
+        path = openvino_file(tmp_path / "bomb.xml", path)
+    assert path.stat().st_size < 30_000
+    with little_memory(200_000_000), pytest.raises(InputError, match=r"bomb\S* of [\d,]+ bytes would unpack to"):
+        load_model(path)
+
+
+def test_loops_are_not_run(tmp_path: Path):
+    inner = helper.make_graph([], "inner", [], [helper.make_tensor_value_info("many", TensorProto.INT64, [2])])
+    true = helper.make_node("Constant", [], ["true"], value=helper.make_tensor("true", TensorProto.BOOL, [], [True]))
+    branch = helper.make_node("If", ["true"], ["x"], then_branch=inner, else_branch=inner)
+    with pytest.raises(InputError, match="has a loop or a branch"):
+        load_exported(onnx_file(tmp_path / "loop.onnx", true, branch))
+
+
+def test_constants_of_openvino_are_no_larger_than_their_file(tmp_path: Path, file: Path):
+    path = openvino_file(tmp_path / "model.xml", file)
+    before = path.read_text()
+    changed = before.replace('size="8"', 'size="80000000000"')
+    assert changed != before
+    path.write_text(changed)
+    with little_memory(200_000_000), pytest.raises(InputError, match="cannot be read as OpenVINO"):
+        load_model(path)
+
+
+def test_names_in_xml_are_not_expanded(tmp_path: Path):
+    """A document of a few lines that names itself ten times at every level."""
+    levels = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
+    text = f'<?xml version="1.0"?><!DOCTYPE net [<!ENTITY l0 "lol">{levels}]><net name="&l9;" version="11">&l9;</net>'
+    (tmp_path / "bomb.xml").write_text(text)
+    with little_memory(200_000_000), pytest.raises(InputError, match="holds no configuration"):
+        load_model(tmp_path / "bomb.xml")
+
+
+def test_metadata_that_would_unpack_to_gigabytes_is_refused(tmp_path: Path):
+    """A bracket of two bytes is a list of sixty."""
+    path = onnx_file(tmp_path / "model.onnx", metadata="[" + "[]," * 1_000_000 + "[]]")
+    with little_memory(200_000_000), pytest.raises(InputError, match="too long for JSON"):
+        load_model(path)
+
+
+def test_numbers_are_those_of_the_runtime(file: Path):
+    """The helper above would hide a model that is never asked."""
+    pixels = np.linspace(0, 1, 3 * 64 * 64, dtype=np.float32).reshape(1, 3, 64, 64)
+    assert np.allclose(load_exported(file).run({"pixel_values": pixels}, std=True)["predicted_depth"], pixels.mean(1))
