@@ -237,7 +237,7 @@ class HeadTester:
         bottleneck, levels, last, relative = decoder_features((64, 96), batch=1)
         inputs = (bottleneck, *levels, last, relative)
         model = _Exportable(head.eval())
-        exported = torch.export.export(model, inputs).module()
+        exported = torch.export.export(model, inputs, strict=False).module()
         assert torch.allclose(exported(*inputs), model(*inputs), rtol=1e-4, atol=1e-5)
 
     def test_every_field_of_its_config_matters(self):
