@@ -168,16 +168,26 @@ class TestProtocol:
 
 
 class TestSources:
-    def test_several_models_in_one_table_with_the_best_in_bold(self, model: Path, tmp_path: Path, capsys):
+    def test_several_models_have_a_row_each_under_their_labels(self, model: Path, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=1, split="test")
         options = ["--model", model, "--model", f"again={model}", "--model", "zoed-lite"]
         records = run(capsys, *options, "--data", path)
         assert [record["source"] for record in records] == [str(model), "again", "zoed-lite"]
         assert metrics_of(records[0]) == metrics_of(records[1]) != metrics_of(records[2])
 
-    def test_two_of_one_name_are_an_error(self, model: Path, tmp_path: Path, capsys):
-        path = write_pairs(tmp_path, n=1, split="test")
-        assert "name them" in error(capsys, "--model", model, "--model", model, "--data", path)
+    @pytest.mark.parametrize(
+        "options",
+        [
+            ("--model", "zoed-lite", "--model", "zoed-lite"),
+            ("--model", "a=zoed-lite", "--predictions", "a=theirs"),
+            ("--model", "mean depth map=zoed-lite", "--trivial", "rooms/test.csv"),
+        ],
+        ids=["models", "model and predictions", "model and guess"],
+    )
+    def test_two_of_one_name_are_an_error(self, tmp_path: Path, capsys, monkeypatch, options: tuple[str, ...]):
+        monkeypatch.chdir(tmp_path)
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        assert "name them" in error(capsys, *options, "--data", path)
 
     def test_other_peoples_depth_maps(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
@@ -239,17 +249,17 @@ class TestSources:
         (record,) = run(capsys, "--model", tmp_path / "one.safetensors", "--data", path)
         assert record["router"] is None
 
-    @pytest.mark.parametrize(("domain", "share"), [("indoor", 1.0), ("outdoor", 0.0)])
-    def test_router_share_is_that_of_photos_sent_to_their_own_head(self, model, tmp_path, capsys, domain, share):
-        path = write_pairs(tmp_path, n=2, domain=domain, split="test")
-        (record,) = run(capsys, "--model", model, "--data", path)
-        assert record["router"] == share
+    def test_router_share_is_that_of_photos_sent_to_their_own_head(self, model: Path, tmp_path: Path, capsys):
+        domains = ("indoor", "outdoor")
+        paths = [write_pairs(tmp_path / domain, n=2, domain=domain, split="test") for domain in domains]
+        records = run(capsys, "--model", model, "--data", *paths)
+        assert [record["router"] for record in records] == [1.0, 0.0]
 
 
 class TestOutput:
-    def test_json_is_one_object_with_metrics_and_counts(self, model: Path, tmp_path: Path, capsys):
+    def test_json_is_one_object_with_metrics_and_counts(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
-        (record,) = run(capsys, "--model", model, "--data", path)
+        (record,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
         counts = {"images", "without_truth", "failed", "router", "alignment", "source", "data", "protocols"}
         assert set(record) == METRICS | counts
         assert (record["images"], record["without_truth"]) == (2, 1)
@@ -294,23 +304,27 @@ class TestOutput:
         assert result["metrics"]["rel"] == pytest.approx(rel)
         assert len((out / "tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()) == 4
 
-    def test_the_same_command_goes_on_and_another_protocol_is_refused(self, model: Path, tmp_path: Path, capsys):
+    def test_the_same_command_goes_on_and_another_protocol_is_refused(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
-        options = ["--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out", "--no-pictures"]
+        theirs = write_predictions(tmp_path / "theirs", path)
+        options = ["--predictions", theirs, "--data", path, "--out", tmp_path / "out", "--no-pictures"]
         first = run(capsys, *options)
+        for file in theirs.iterdir():
+            np.save(file, np.full((64, 96), 9.0, np.float32))  # not looked at again
         assert run(capsys, *options) == first
         assert "give another --out" in error(capsys, *options, "--crop", "none")
         path.write_text(path.read_text().replace(",1000,", ",500,"))
         assert "give another --out" in error(capsys, *options)
 
-    def test_failing_photo_is_left_out_of_the_report_and_its_pictures(self, model: Path, tmp_path: Path, capsys):
+    def test_failing_photo_is_left_out_of_the_report_and_its_pictures(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=3, split="test")
+        theirs = write_predictions(tmp_path / "theirs", path)
         (tmp_path / "rooms/depth/test_000.png").write_bytes(b"")
-        options = ["--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out"]
+        options = ["--predictions", theirs, "--data", path, "--out", tmp_path / "out"]
         (record,) = run(capsys, *options, code=1)
         assert (record["images"], record["failed"]) == (2, 1)
         assert "1 that failed" in (tmp_path / "out/report.md").read_text()
-        assert (tmp_path / "out/tiny/rooms/examples.png").is_file()
+        assert (tmp_path / "out/theirs/rooms/examples.png").is_file()
 
     def test_report_of_nothing_but_failures_has_no_numbers(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
@@ -320,10 +334,11 @@ class TestOutput:
         assert (record["images"], record["failed"], "rel" in record) == (0, 1, False)
         assert "not run" in (tmp_path / "out/report.md").read_text()
 
-    def test_missing_matplotlib_is_said_before_anything_is_scored(self, model, tmp_path: Path, capsys, monkeypatch):
+    def test_missing_matplotlib_is_said_before_anything_is_scored(self, tmp_path: Path, capsys, monkeypatch):
         monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
-        options = ["--model", model, "--data", path, "--out", tmp_path / "out"]
+        theirs = write_predictions(tmp_path / "theirs", path)
+        options = ["--predictions", theirs, "--data", path, "--out", tmp_path / "out"]
         assert "zoedepth[report]" in error(capsys, *options)
         assert not (tmp_path / "out").exists()
         run(capsys, *options, "--no-pictures")
@@ -365,66 +380,76 @@ class TestOutput:
         files = sorted((tmp_path / "two/theirs/rooms").glob("*.jsonl"))
         assert [len(file.read_text().splitlines()) for file in files] == [1 + 3, 1 + 1]
 
-    def test_second_process_leaves_it_to_the_first_to_say_how_it_went(self, model, tmp_path: Path, capsys, monkeypatch):
+    def test_second_process_leaves_it_to_the_first_to_say_how_it_went(self, tmp_path: Path, capsys, monkeypatch):
         """torchrun ends all processes when one fails, and the first has yet to write the report."""
         import torch.distributed as distributed
 
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
-        (tmp_path / "rooms/depth/test_001.png").write_bytes(b"")
+        theirs = write_predictions(tmp_path / "theirs", path)
+        (theirs / "test_001.npy").unlink()
         monkeypatch.setenv("RANK", "1")
         monkeypatch.setenv("WORLD_SIZE", "2")
         distributed.init_process_group("gloo", store=distributed.HashStore(), rank=0, world_size=1)
         try:
-            assert run(capsys, "--model", f"tiny={model}", "--data", path, "--out", tmp_path / "out") == []
+            assert run(capsys, "--predictions", theirs, "--data", path, "--out", tmp_path / "out") == []
         finally:
             distributed.destroy_process_group()
-        assert [file.name for file in (tmp_path / "out").iterdir()] == ["tiny"]
+        # Neither a report nor pictures.
+        files = [file.relative_to(tmp_path / "out") for file in (tmp_path / "out").rglob("*") if file.is_file()]
+        assert files == [Path("theirs/rooms/scores-1-of-2.jsonl")]
 
 
 class TestErrors:
-    def test_what_cannot_be_scored_says_why(self, model: Path, tmp_path: Path, capsys):
+    def test_what_cannot_be_scored_says_why(self, tmp_path: Path, capsys):
         good = write_pairs(tmp_path / "good", n=1, split="test")
-        assert "nowhere.csv" in error(capsys, "--model", model, "--data", tmp_path / "nowhere.csv")
+        assert "nowhere.csv" in error(capsys, "--data", tmp_path / "nowhere.csv")
         assert "zoed-light" in error(capsys, "--model", "zoed-light", "--data", good)
         stills = write_disparity_pairs(tmp_path / "stills")
-        assert "disparity" in error(capsys, "--model", model, "--data", stills)
+        assert "disparity" in error(capsys, "--data", stills)
         stills.write_text(stills.read_text().replace(".png,", ".png,indoor"))
-        assert "disparity" in error(capsys, "--model", model, "--data", stills)
-        assert "each name once" in error(capsys, "--model", model, "--data", f"a={good}", f"a={good}")
+        assert "disparity" in error(capsys, "--data", stills)
+        assert "each name once" in error(capsys, "--data", f"a={good}", f"a={good}")
 
-    def test_published_set_in_its_official_folder_has_the_papers_protocol(self, model: Path, tmp_path: Path, capsys):
+    def test_published_set_in_its_official_folder_has_the_papers_protocol(self, tmp_path: Path, capsys):
         scene = tmp_path / "official_splits/test/kitchen"
         scene.mkdir(parents=True)
         Image.new("RGB", (640, 480), (90, 60, 30)).save(scene / "rgb_00045.jpg")
         Image.fromarray(np.full((480, 640), 2500, np.uint16)).save(scene / "sync_depth_00045.png")
-        (found,) = run(capsys, "--model", f"tiny={model}", "--data", f"nyu={tmp_path}")
-        assert found["protocols"] == {"indoor": PROTOCOLS["nyu"].label}
-        (found,) = run(capsys, "--model", f"tiny={model}", "--data", f"nyu={tmp_path}", "--protocol", "plain")
-        assert found["protocols"] == {"indoor": PROTOCOLS["plain"].label}
+        (tmp_path / "theirs").mkdir()
+        np.save(tmp_path / "theirs/rgb_00045.npy", np.full((480, 640), 2.0, np.float32))
+        options = ["--predictions", tmp_path / "theirs", "--data", f"nyu={tmp_path}"]
+        for arguments, name in (((), "nyu"), (("--protocol", "plain"), "plain")):
+            (found,) = run(capsys, *options, *arguments)
+            assert found["protocols"] == {"indoor": PROTOCOLS[name].label}
+            assert found["rel"] == pytest.approx(0.2)
 
-    def test_masks_are_left_out_where_the_protocol_says_so(self, model: Path, tmp_path: Path, capsys):
+    def test_masks_are_left_out_where_the_protocol_says_so(self, tmp_path: Path, capsys):
         stem = tmp_path / "val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010"
         stem.parent.mkdir(parents=True)
         Image.new("RGB", (640, 480), (90, 60, 30)).save(f"{stem}.png")
         np.save(f"{stem}_depth.npy", np.full((480, 640, 1), 2.5, np.float32))
         np.save(f"{stem}_depth_mask.npy", np.zeros((480, 640)))
-        arguments = ["--model", f"tiny={model}", "--data", f"diode-indoor={tmp_path}"]
+        (tmp_path / "theirs").mkdir()
+        np.save(tmp_path / f"theirs/{stem.name}.npy", np.full((480, 640), 2.0, np.float32))
+        arguments = ["--predictions", str(tmp_path / "theirs"), "--data", f"diode-indoor={tmp_path}"]
         (found,) = run(capsys, *arguments, "--protocol", "diode-indoor-released")
         assert found["images"] == 1
         assert main(["evaluate", *arguments, "--protocol", "diode-indoor"]) == 1  # nothing is known
 
-    def test_set_without_a_pixel_in_the_crop_is_no_silent_success(self, model: Path, tmp_path: Path, capsys):
+    def test_set_without_a_pixel_in_the_crop_is_no_silent_success(self, tmp_path: Path, capsys):
         small = write_pairs(tmp_path / "small", n=1, size=(40, 40), split="test")
-        assert main(["evaluate", "--model", str(model), "--data", str(small), "--crop", "eigen"]) == 1
+        theirs = write_predictions(tmp_path / "theirs", small)
+        assert main(["evaluate", "--predictions", str(theirs), "--data", str(small), "--crop", "eigen"]) == 1
         assert "no image has a known pixel" in capsys.readouterr().err
 
-    def test_several_processes_must_have_a_folder_to_meet_in(self, model: Path, tmp_path: Path, capsys, monkeypatch):
+    def test_several_processes_must_have_a_folder_to_meet_in(self, tmp_path: Path, capsys, monkeypatch):
         monkeypatch.setenv("WORLD_SIZE", "2")
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
-        assert "--out" in error(capsys, "--model", model, "--data", path)
+        theirs = write_predictions(tmp_path / "theirs", path)
+        assert "--out" in error(capsys, "--predictions", theirs, "--data", path)
 
-    def test_data_must_be_given(self, model: Path, capsys):
+    def test_data_must_be_given(self, capsys):
         with pytest.raises(SystemExit) as stopped:
-            main(["evaluate", "--model", str(model)])
+            main(["evaluate", "--model", "zoed-lite"])
         assert stopped.value.code == 2
         assert "--data" in capsys.readouterr().err

@@ -10,25 +10,31 @@ import torch
 import torch.nn.functional as F
 from PIL import Image
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo, sample_of
+from tests.folders import write_disparity_pairs, write_pairs
 from torchvision.transforms import functional as transforms
 
 from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
+from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
+from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
 from zoedepth.evaluation.predictions import (
+    TRIVIAL,
     ConstantSource,
     FolderSource,
     MeanMapSource,
     ModelSource,
     predict,
     prepare,
+    trivial_sources,
 )
 from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
+from zoedepth.weights.load import load_model, save_model
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
 
@@ -123,6 +129,18 @@ def test_shorter_side_of_an_upright_photo_is_its_width(tiny_model: ZoeDepth) -> 
     assert found.depth.shape == (54, 30)
 
 
+def test_loaded_model_knows_what_its_scores_depend_on(tiny_model: ZoeDepth, tmp_path: Path) -> None:
+    save_model(tiny_model, tmp_path / "tiny.safetensors")
+    found = ModelSource.load(tmp_path / "tiny.safetensors", compat=["batch-vote"], device="cpu")
+    digest = weights_fingerprint(tmp_path / "tiny.safetensors")
+    assert found.about == {"weights": digest, "compat": ["batch-vote"]}
+    assert not found.model.training
+    expected = ModelSource(load_model(tmp_path / "tiny.safetensors", compat=("batch-vote",)))
+    sample = photo((50, 90))
+    np.testing.assert_array_equal(found.predict(sample, EVERYWHERE).depth, expected.predict(sample, EVERYWHERE).depth)
+    assert expected.about == {}
+
+
 def test_model_of_one_domain_has_no_choice_of_head(tiny_config: ModelConfig) -> None:
     torch.manual_seed(0)
     model = ZoeDepth(replace(tiny_config, domains=tiny_config.domains[:1])).eval()
@@ -196,6 +214,10 @@ def test_scale_is_not_for_files_in_metres(tmp_path: Path) -> None:
     write_maps(tmp_path / "a.npy", Maps(depth=DEPTH))
     found = FolderSource(tmp_path, scale=256).predict(named("a.jpg"), EVERYWHERE)
     np.testing.assert_array_equal(found.depth, DEPTH)
+
+
+def test_folder_is_what_its_scores_depend_on(tmp_path: Path) -> None:
+    assert FolderSource(tmp_path).about == {"folder": str(tmp_path)}
 
 
 def test_missing_file_is_an_error_that_names_photo_and_folder(tmp_path: Path) -> None:
@@ -314,6 +336,27 @@ def test_truth_of_the_photo_is_not_looked_at(kind: type) -> None:
     sample = photo((6, 8))
     other = dataclasses.replace(sample, target=sample.target + 1)
     np.testing.assert_array_equal(source.predict(sample, EVERYWHERE).depth, source.predict(other, EVERYWHERE).depth)
+
+
+def test_guesses_are_made_from_the_samples_of_the_domains_that_are_scored(tmp_path: Path) -> None:
+    rooms = write_pairs(tmp_path / "rooms", n=3)
+    streets = write_pairs(tmp_path / "streets", n=1, domain="outdoor")
+    stills = write_disparity_pairs(tmp_path / "stills", n=1)
+    protocols = {"indoor": EVERYWHERE}
+    lists = {str(path): list_fingerprint(str(path)) for path in (rooms, streets, stills)}
+    found = trivial_sources([rooms, streets, stills], protocols)
+    assert tuple(found) == TRIVIAL
+    training = [PairDataset(rooms)[i] for i in range(3)]
+    constant, mean_map = ConstantSource(training, protocols), MeanMapSource(training, protocols)
+    sample = photo((6, 8))
+    for source, expected in zip(found.values(), (constant, mean_map), strict=True):
+        ours, theirs = (each.predict(sample, EVERYWHERE).depth for each in (source, expected))
+        np.testing.assert_array_equal(ours, theirs)
+        assert source.about == {
+            "training": {str(path): list_fingerprint(str(path)) for path in (rooms, streets, stills)}
+        }
+        with pytest.raises(InputError, match="'outdoor'"):
+            source.predict(photo((6, 8), domain="outdoor"), EVERYWHERE)
 
 
 # ---------------------------------------------------------------------------------------------------- cropping

@@ -139,26 +139,24 @@ def _sources(
     device: str,
 ) -> "dict[str, PredictionSource]":
     """Open everything that is to be scored, by its label."""
-    from zoedepth.evaluation.predictions import FolderSource, ModelSource, trivial_sources
-
-    found: dict[str, PredictionSource] = {}
-
-    def add(label: str, source: "PredictionSource") -> None:
-        if label in found:
-            raise InputError(f"two sources are called {label!r}: name them, LABEL=SOURCE")
-        found[label] = source
+    from zoedepth.evaluation.predictions import TRIVIAL, FolderSource, ModelSource, trivial_sources
 
     if not (models or predictions or trivial):
         models = ("zoed-lite",)
-    for entry in models:
-        label, equals, value = entry.partition("=")
-        add(label, ModelSource.load(value if equals else label, compat=compat, device=device))
-    for label, folder in named_paths(tuple(predictions)).items():
-        add(label, FolderSource(folder))
+    names = [(label, value if equals else label) for label, equals, value in (each.partition("=") for each in models)]
+    folders = named_paths(tuple(predictions))
+    labels = [*(label for label, _ in names), *folders, *(TRIVIAL if trivial else ())]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(f"two sources are called {label!r}: name them, LABEL=SOURCE")
+    found: dict[str, PredictionSource] = {}
+    for label, name in names:
+        found[label] = ModelSource.load(name, compat=compat, device=device)
+    for label, folder in folders.items():
+        found[label] = FolderSource(folder)
     if trivial:
         by_domain = {domain: protocol for each in sets.values() for domain, protocol in each.protocols.items()}
-        for label, source in trivial_sources(trivial, by_domain).items():
-            add(label, source)
+        found |= trivial_sources(trivial, by_domain)
     return found
 
 

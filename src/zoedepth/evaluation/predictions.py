@@ -217,8 +217,12 @@ class MeanMapSource:
         return Prediction(F.interpolate(mean, size, mode="bilinear", align_corners=True)[0, 0].numpy())
 
 
+TRIVIAL = ("best constant", "mean depth map")
+"""Labels of the sources that need no photo."""
+
+
 def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol]) -> dict[str, PredictionSource]:
-    """Make the two sources that need no photo, from lists of training data: "best constant" and "mean depth map".
+    """Make the two sources that need no photo from training data, with the labels ``TRIVIAL``.
 
     Args:
         training: lists of photos with depth; see ``zoedepth.opening.open_dataset``. Disparity in them is passed over.
@@ -229,10 +233,9 @@ def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol])
     """
     datasets = [open_dataset(path, split="train") for path in training]
     about = {"training": {str(path): list_fingerprint(str(path)) for path in training}}
-    return {
-        "best constant": ConstantSource(_training_samples(datasets, protocols), protocols, about=about),
-        "mean depth map": MeanMapSource(_training_samples(datasets, protocols), protocols, about=about),
-    }
+    constant = ConstantSource(_training_samples(datasets, protocols), protocols, about=about)
+    mean_map = MeanMapSource(_training_samples(datasets, protocols), protocols, about=about)
+    return dict(zip(TRIVIAL, (constant, mean_map), strict=True))
 
 
 def prepare(sample: Sample, protocol: Protocol) -> Sample:
