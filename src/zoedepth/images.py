@@ -200,7 +200,7 @@ def _from_pil(picture: Image.Image, name: str) -> ImageArray:
     try:
         picture.load()  # a PIL image handed in may not be decoded yet
         picture = _upright(picture)
-        if picture.mode not in ("RGB", "F") and not picture.mode.startswith("I"):
+        if picture.mode != "F" and not picture.mode.startswith("I"):
             picture = picture.convert("RGB")
         values = np.asarray(picture)
     except Exception as error:  # see ``_open``
