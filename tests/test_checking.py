@@ -31,7 +31,7 @@ def nyu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> NYU:
 def test_a_download_in_order(nyu: NYU):
     report = check(nyu)
     assert report.problems == []
-    assert (report.kind, report.n_pairs, report.n_published) == ("depth", 4, 4)
+    assert (report.kind, report.n_pairs, report.n_expected) == ("depth", 4, 4)
     assert report.readable == (0, 1, 2, 3)
     assert report.photo_sizes == {SIZE: 4}
     assert report.values == Values(1, 1, 2.5, 4, 4)
@@ -40,31 +40,31 @@ def test_a_download_in_order(nyu: NYU):
 
 
 def test_photos_have_the_size_of_their_files_and_the_most_frequent_comes_first(nyu: NYU):
-    write_photo(nyu.frames[0].image, (30, 60))
+    write_photo(nyu.pairs[0].image, (30, 60))
     assert list(check(nyu).photo_sizes.items()) == [(SIZE, 3), ((30, 60), 1)]
 
 
 def test_missing_files_are_named_and_their_pairs_not_read(nyu: NYU):
-    nyu.frames[1].image.unlink()
+    nyu.pairs[1].image.unlink()
     report = check(nyu)
-    assert report.missing == (nyu.frames[1].image,)
+    assert report.missing == (nyu.pairs[1].image,)
     assert report.readable == (0, 2, 3)
     assert report.problems == ["1 files are missing"]
 
 
-def test_fewer_pairs_than_published_are_a_problem_and_more_are_none(nyu: NYU):
-    nyu.frames.pop()
+def test_fewer_pairs_than_expected_are_a_problem_and_more_are_none(nyu: NYU):
+    nyu.pairs.pop()
     assert check(nyu).problems == ["3 of 4 pairs are here"]
-    nyu.frames.extend(nyu.frames)
+    nyu.pairs.extend(nyu.pairs)
     assert check(nyu).problems == []
 
 
 def test_every_unreadable_pair_is_named(nyu: NYU):
     for index in (0, 3):
-        nyu.frames[index].image.write_bytes(b"not a photo")
+        nyu.pairs[index].image.write_bytes(b"not a photo")
     report = check(nyu)
     assert report.readable == (1, 2)
-    assert [str(nyu.frames[index].image) in text for index, text in zip((0, 3), report.unreadable, strict=True)] == [
+    assert [str(nyu.pairs[index].image) in text for index, text in zip((0, 3), report.unreadable, strict=True)] == [
         True,
         True,
     ]
@@ -73,13 +73,13 @@ def test_every_unreadable_pair_is_named(nyu: NYU):
 
 
 def test_pairs_without_truth_are_counted_and_no_problem(nyu: NYU):
-    nyu.frames[0] = replace(nyu.frames[0], target=None)
+    nyu.pairs[0] = replace(nyu.pairs[0], target=None)
     report = check(nyu)
     assert (report.n_without_truth, report.readable, report.problems) == (1, (1, 2, 3), [])
 
 
 def test_a_depth_of_nothing_is_named_and_a_problem_only_if_all_are(nyu: NYU):
-    targets = [frame.target for frame in nyu.frames if frame.target is not None]
+    targets = [frame.target for frame in nyu.pairs if frame.target is not None]
     write_png(targets[0], np.zeros(SIZE, np.uint16))
     report = check(nyu)
     assert (report.empty, report.problems) == (("sync/kitchen/rgb_00001.jpg",), [])
@@ -108,7 +108,7 @@ def test_a_sample_of_the_pairs_is_read_or_every_one(tmp_path: Path):
 def test_pairs_of_ones_own(tmp_path: Path):
     dataset = PairDataset(write_pairs(tmp_path, n=3, size=(16, 24)))
     report = check(dataset)
-    assert (report.n_pairs, report.n_published, report.problems) == (3, None, [])
+    assert (report.n_pairs, report.n_expected, report.problems) == (3, None, [])
     assert report.photo_sizes == {(16, 24): 3}
     assert report.values is not None
     assert 1 <= report.values.least <= report.values.median <= report.values.greatest <= 5
@@ -156,7 +156,7 @@ def test_wide_photos_are_below_each_other(tmp_path: Path):
 
 def test_scattered_points_are_seen(nyu: NYU):
     """8 of 200 pixels are known: 4 %, of which nothing would be left on a picture many times the size."""
-    target = nyu.frames[0].target
+    target = nyu.pairs[0].target
     assert target is not None
     stored = np.zeros(SIZE, np.uint16)
     stored[2::5, 2::5] = 1000

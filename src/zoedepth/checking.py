@@ -1,4 +1,4 @@
-"""Is a download complete, readable, and what it should be? What ``zoedepth data check`` reports, and shows."""
+"""Check that data is complete, readable and in the right unit: the report and picture of ``zoedepth data check``."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -15,21 +15,21 @@ from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
 
 N_READ = 50
-"""Pairs that are read unless all are: enough for the range of depth, and seconds rather than hours."""
+"""Pairs that are read unless all are asked for: enough for the range of depth, in seconds rather than hours."""
 
 N_SHOWN = 8
 """Pairs in a contact sheet."""
 
 _VALUES_PER_PAIR = 10_000
 _PANEL, _WIDE_PANEL = (300, 440), (300, 880)
-"""A panel of the sheet fits into this (height, width); the other is for photos more than twice as wide as high."""
+"""(height, width) of a panel in the sheet; the second is for photos more than twice as wide as high."""
 SPARSE = 0.3
 """Share of known pixels below which depth counts as scattered points: lidar has 5 to 20 %, a Kinect 60 to 100 %."""
 
 
 @dataclass(frozen=True)
 class Values:
-    """How the known values of a target spread: metres, or disparity without a unit."""
+    """The spread of the known values of a target: metres, or disparity without a unit."""
 
     least: float
     low: float
@@ -42,43 +42,43 @@ class Values:
 
 @dataclass(frozen=True)
 class Report:
-    """What was found."""
+    """The findings about a data set."""
 
     kind: Target | None
     """None where nothing could be read."""
     n_pairs: int
-    n_published: int | None
-    """Pairs of a complete download; None where there is no such number."""
+    n_expected: int | None
+    """Pairs of a complete download; None where nobody says how many."""
     n_without_truth: int
-    """Pairs of which the set's own list says that there is no depth."""
+    """Pairs that have no depth, as the set's own list says."""
     missing: tuple[Path, ...]
     """Files that should be there and are not."""
     readable: tuple[int, ...]
-    """Indices of the pairs that were read, evenly spread over those that have all their files."""
+    """Indices of the pairs that were read, evenly spread over the pairs with all their files."""
     unreadable: tuple[str, ...]
-    """What is wrong with each of those that could not be read; the message names the file."""
+    """A message for each pair that could not be read; it names the file and what is wrong with it."""
     photo_sizes: dict[tuple[int, int], int]
-    """(height, width) → photos that were read. The most frequent comes first."""
+    """(height, width) → number of photos of that size. The most frequent comes first."""
     values: Values | None
-    """None where nothing is known."""
+    """None where no pixel is known."""
     known: float
     """Mean share of pixels whose target is known."""
     empty: tuple[str, ...]
-    """Pairs that were read and of which no pixel is known."""
+    """Names of the pairs that were read and have no known pixel."""
     n_cameras: int
-    """Pairs that were read and whose camera is known."""
+    """Number of pairs that were read and whose camera is known."""
 
     @property
     def n_tried(self) -> int:
-        """Pairs that were read, or could not be."""
+        """Number of pairs that were read or could not be."""
         return len(self.readable) + len(self.unreadable)
 
     @property
     def problems(self) -> list[str]:
-        """Why the download is not in order, in words; nothing where it is."""
+        """The reasons why the download is not in order, in words; none where it is."""
         found = []
-        if self.n_published is not None and self.n_pairs < self.n_published:
-            found.append(f"{self.n_pairs:,} of {self.n_published:,} pairs are here")
+        if self.n_expected is not None and self.n_pairs < self.n_expected:
+            found.append(f"{self.n_pairs:,} of {self.n_expected:,} pairs are here")
         if self.missing:
             found.append(f"{len(self.missing):,} files are missing")
         if self.unreadable:
@@ -89,15 +89,15 @@ class Report:
 
 
 def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[int]], Iterable[int]] = iter) -> Report:
-    """Read a sample of a data set's pairs, or all, and say what there is.
+    """Read some or all pairs of a data set, and report what there is.
 
     Args:
-        dataset: a published one is opened with ``allow_missing``, so that all that is missing can be reported.
+        dataset: the data; open it with ``allow_missing`` to have everything reported that is missing.
         every: read every pair, not just ``N_READ`` of them.
-        track: what shows progress over the pairs.
+        track: gets the indices to read, gives them on, and shows progress.
 
     Raises:
-        MissingExtraError: its files need a library that is not installed.
+        MissingExtraError: a format needs a library that is not installed.
     """
     complete, missing, n_without_truth = _survey(dataset)
     chosen = complete if every else evenly(complete, N_READ)
@@ -130,7 +130,7 @@ def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[in
     return Report(
         kind=min(kinds, default=None),
         n_pairs=len(dataset),
-        n_published=dataset.about.splits[dataset.split] if isinstance(dataset, PublishedDataset) else None,
+        n_expected=dataset.about.splits[dataset.split] if isinstance(dataset, PublishedDataset) else None,
         n_without_truth=n_without_truth,
         missing=tuple(missing),
         readable=tuple(readable),
@@ -144,32 +144,34 @@ def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[in
 
 
 def contact_sheet(dataset: Samples, indices: Sequence[int]) -> ImageArray:
-    """Each photo beside its depth, with a bar of its own; unknown is grey, disparity in percent of the picture's range.
+    """Draw each photo beside its depth, with a bar of its own. Unknown is grey; disparity is in percent of its range.
 
     Args:
         dataset: has at least one readable pair.
-        indices: pairs that can be read, as ``check`` found; ``N_SHOWN`` of them are taken, evenly spread.
+        indices: pairs that can be read, from ``Report.readable``; ``N_SHOWN`` of them are drawn, evenly spread.
     """
     pairs = [_panels(dataset[index]) for index in evenly(indices, N_SHOWN)]
-    # Two pairs beside each other, but those of wide photos below each other.
+    # Two pairs beside each other; pairs of wide photos below each other.
     per_row = 1 if any(photo.shape[1] > 2 * photo.shape[0] for photo, _ in pairs) else 2
     return sheet([[item for pair in pairs[i : i + per_row] for item in pair] for i in range(0, len(pairs), per_row)])
 
 
 def evenly(indices: Sequence[int], n: int) -> list[int]:
-    """``n`` of them evenly spread, with the first and the last; all where there are no more."""
+    """Return ``n`` of the indices, evenly spread, with the first and the last; all where there are no more."""
     if len(indices) <= n:
         return list(indices)
     return [indices[round(i * (len(indices) - 1) / max(n - 1, 1))] for i in range(n)]
 
 
 def _survey(dataset: Samples) -> tuple[list[int], list[Path], int]:
-    """(pairs that have all their files and a truth, missing files, number of pairs without truth)"""
+    """Return (pairs that have all their files and a truth, missing files, number of pairs without truth)."""
     if isinstance(dataset, PublishedDataset):
         missing = dataset.missing_files()
         gone = set(missing)
-        bare = sum(frame.target is None for frame in dataset.frames)
-        complete = [i for i, f in enumerate(dataset.frames) if f.target is not None and gone.isdisjoint(f.files)]
+        bare = sum(pair.target is None for pair in dataset.pairs)
+        complete = [
+            i for i, pair in enumerate(dataset.pairs) if pair.target is not None and gone.isdisjoint(pair.files)
+        ]
         return complete, missing, bare
     if isinstance(dataset, PairDataset):
         complete = [i for i, pair in enumerate(dataset.pairs) if pair.target is not None]
@@ -178,15 +180,15 @@ def _survey(dataset: Samples) -> tuple[list[int], list[Path], int]:
 
 
 def _photo_size(dataset: Samples, index: int, sample: Sample) -> tuple[int, int]:
-    """Of the photo as it is in its file: the sample has the size of the depth."""
+    """Return the size of the photo in its file; the sample has the size of the depth."""
     if isinstance(dataset, PublishedDataset):
-        photo = dataset.read_photo(dataset.frames[index])
+        photo = dataset.read_photo(dataset.pairs[index])
         return photo.shape[0], photo.shape[1]
     return sample.image.shape[1], sample.image.shape[2]
 
 
 def _panels(sample: Sample) -> tuple[ImageArray, ImageArray]:
-    """Photo and target of a pair, at one size."""
+    """Draw the photo and the target of a pair, at one size."""
     photo = (sample.image.permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
     height, width = photo.shape[:2]
     limit = _WIDE_PANEL if width > 2 * height else _PANEL
@@ -214,7 +216,7 @@ def _panels(sample: Sample) -> tuple[ImageArray, ImageArray]:
 
 
 def _gathered(target: np.ndarray) -> np.ndarray:
-    """Scattered points on a grid coarse enough for about one in each cell: as they are there is nothing to see."""
+    """Gather scattered points on a grid so coarse that each cell has about one; single pixels could not be seen."""
     share = float(np.isfinite(target).mean())
     size = tuple(max(1, round(side * share**0.5)) for side in target.shape)
     coarse = np.full(size, np.nan, np.float32)
@@ -224,6 +226,6 @@ def _gathered(target: np.ndarray) -> np.ndarray:
 
 
 def _shortened(name: str, width: int) -> str:
-    """A name that fits above a picture ``width`` pixels wide; its end says more than its beginning."""
+    """Shorten a name to fit above a picture ``width`` pixels wide, keeping its end, which says more."""
     most = max(8, width // 8)
     return name if len(name) <= most else f"...{name[3 - most :]}"

@@ -1,4 +1,4 @@
-"""One function that opens any data there is."""
+"""Open photos with depth in any form: ``open_dataset``."""
 
 import re
 from pathlib import Path
@@ -16,6 +16,7 @@ from zoedepth.shards.index import INDEX_FILE
 from zoedepth.synthetic import SyntheticScenes
 
 LISTS = (".csv", ".jsonl", ".txt")
+"""Suffixes of lists of pairs."""
 
 ACCEPTED = f"""accepted are
     a list of pairs: .csv, .jsonl, or BTS's .txt
@@ -24,10 +25,10 @@ ACCEPTED = f"""accepted are
     shards: a .tar, {INDEX_FILE}, their address, or a folder of them (also SPLIT/ in it)
     a published data set in its official folder, under its name: {", ".join(DATASETS)}
     Hugging Face: hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that save_to_disk wrote
-    made up: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384]"""
+    rendered scenes: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384]"""
 
 SCENES = {"rooms": ("indoor",), "streets": ("outdoor",), "all": ("indoor", "outdoor")}
-"""Name of made-up scenes → their domains."""
+"""Name of rendered scenes → their domains."""
 
 _HUB = re.compile(r"(?P<repo>[\w.-]+/[\w.-]+)(?:@(?P<revision>[\w./-]+))?(?::(?P<split>[^:?]+(?::[^?]*)?))?")
 
@@ -42,20 +43,20 @@ def open_dataset(
     domain: str | None = None,
     use_masks: bool = True,
 ) -> DepthDataset:
-    """Photos with depth, wherever and however they are kept.
+    """Open photos with depth, wherever and however they are kept.
 
     Args:
         source: a file, folder or address; see ``ACCEPTED``, or docs/your-data.md.
-        name: of the data; that of a published one, such as nyu, says how its official folder is to be read. A list,
-            index or other sign that the folder is your own goes before.
-        split: which list, folder or split, where there are several.
-        allow_missing: photos without depth are no error, where the format knows such.
-        depth_scale: the stored value of one metre, where nobody says it.
-        domain: scene type, where nobody says it.
-        use_masks: of a published set, see ``zoedepth.datasets.published.PublishedDataset``.
+        name: what the data is called. The name of a published data set, such as nyu, tells how to read its official
+            folder, unless a list, an index or saved data in the folder shows that it is your own.
+        split: which list, folder or split to take, where there are several.
+        allow_missing: accept photos without depth, where the format can say that there is none.
+        depth_scale: the stored value of one metre, where the data does not say it.
+        domain: scene type, where the data does not say it.
+        use_masks: False ignores a published set's own masks, see ``zoedepth.datasets.published.PublishedDataset``.
 
     Raises:
-        InputError: there is no such data, or it is not in order; the message says what is accepted.
+        InputError: there is no such data, or it is damaged; the message says what is accepted.
         MissingExtraError: it needs a library that is not installed.
     """
     text = str(source)
@@ -108,11 +109,11 @@ def _open_folder(
 def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:
     address, options = _options(text, {"domain", "depth_scale", "config"})
     if not (found := _HUB.fullmatch(address)):
-        raise InputError(f"cannot open {text}: it is not hf:OWNER/NAME[@REVISION][:SPLIT]; {ACCEPTED}")
+        raise InputError(f"cannot open {text}: write it as hf:OWNER/NAME[@REVISION][:SPLIT]; {ACCEPTED}")
     try:
         scale = float(options["depth_scale"]) if "depth_scale" in options else facts.depth_scale
     except ValueError as error:
-        raise InputError(f"cannot open {text}: depth_scale must be the stored value of one metre") from error
+        raise InputError(f"cannot open {text}: depth_scale must be a number, the stored value of one metre") from error
     data = load_hub(
         found["repo"], split=found["split"] or split, revision=found["revision"], config=options.get("config")
     )
@@ -124,21 +125,21 @@ def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:
 def _open_synthetic(text: str) -> DepthDataset:
     address, options = _options(text, {"n", "seed", "size"})
     if address not in SCENES:
-        raise InputError(f"cannot open {text}: there are {', '.join(SCENES)}; {ACCEPTED}")
+        raise InputError(f"cannot open {text}: the scenes are {', '.join(SCENES)}; {ACCEPTED}")
     numbers = re.fullmatch(
         r"(\d{1,9}) (\d{1,9}) (\d{1,5})x(\d{1,5})",
         " ".join(options.get(name, usual) for name, usual in (("n", "10000"), ("seed", "0"), ("size", "288x384"))),
     )
     if not numbers:
-        raise InputError(f"cannot open {text}: n and seed are whole numbers, size is HEIGHTxWIDTH")
+        raise InputError(f"cannot open {text}: n and seed must be whole numbers, and size HEIGHTxWIDTH")
     n, seed, height, width = map(int, numbers.groups())
     return SyntheticScenes(n, size=(height, width), seed=seed, domains=SCENES[address])
 
 
 def _options(text: str, known: set[str]) -> tuple[str, dict[str, str]]:
-    """What stands between the scheme and the question mark, and the options behind it."""
+    """Return the text between the scheme and the question mark, and the options after it."""
     address, _, query = text.partition(":")[2].partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
     if unknown := sorted(set(options) - known):
-        raise InputError(f"cannot open {text}: there are no options {unknown}, but {sorted(known)}")
+        raise InputError(f"cannot open {text}: it has no options {unknown}; it has {sorted(known)}")
     return address, options

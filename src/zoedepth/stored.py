@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Shaped
+from jaxtyping import Bool, Float32, Shaped, UInt16
 from PIL import Image
 
 from zoedepth.errors import InputError, MissingExtraError
@@ -162,6 +162,14 @@ def read_mask(file: Path | Memory) -> Bool[np.ndarray, "height width"]:
 def read_png(path: Path) -> Map:
     """Read the stored values of a PNG of one channel of 8 or 16 bits."""
     return _read_picture(path, "PNG").values
+
+
+def read_png16(path: Path) -> UInt16[np.ndarray, "height width"]:
+    """Read the stored values of a PNG of one channel that must have 16 bits."""
+    values = read_png(path)
+    if values.dtype != np.uint16:
+        raise InputError(f"{path} must have 16 bits a pixel; it has {8 * values.dtype.itemsize}. Get the original file")
+    return values
 
 
 def read_png_with_text(path: Path) -> tuple[Map, dict[str, str]]:

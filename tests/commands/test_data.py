@@ -137,10 +137,10 @@ def test_pairs_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         (["check", "ddad", "."], "there is no ddad_val/*_rgb.png"),
         (["check", "ddad", "nowhere"], "nowhere is not a folder"),
         (["check", "ddad", ".", "--split", "train"], "no split 'train'; it has ['test']"),
-        (["check", "dada", "."], "there is no data set 'dada'; there are nyu"),
-        (["check", "ddad"], "say where it is: zoedepth data check ddad FOLDER"),
+        (["check", "dada", "."], "there is no published data set 'dada'; there are nyu"),
+        (["check", "ddad"], "say where ddad is: zoedepth data check ddad FOLDER"),
         (["check", "nowhere.csv"], "nowhere.csv"),
-        (["check", "nowhere.csv", "--sheet", "sheet.gif"], "use one of .jpg"),
+        (["check", "nowhere.csv", "--sheet", "sheet.gif"], "must end in one of .jpg"),
     ],
 )
 def test_what_cannot_be_checked_is_an_error(

@@ -68,7 +68,7 @@ class DatasetTester(ABC):
 
     def test_order_and_values_are_the_same_every_time(self, root: Path):
         first, second = self.open(root), self.open(root)
-        assert [frame.image for frame in first.frames] == [frame.image for frame in second.frames]
+        assert [frame.image for frame in first.pairs] == [frame.image for frame in second.pairs]
         a, b = first[len(first) - 1], second[len(second) - 1]
         assert torch.equal(a.image, b.image)
         assert torch.equal(a.target, b.target)
@@ -100,7 +100,7 @@ class DatasetTester(ABC):
             self.open(tmp_path)
 
     def test_missing_depth_is_an_error_that_names_the_file_unless_allowed(self, root: Path):
-        target = self.open(root).frames[0].target
+        target = self.open(root).pairs[0].target
         assert target is not None
         target.unlink()
         with pytest.raises(InputError, match="1 files that belong to") as caught:
@@ -110,7 +110,7 @@ class DatasetTester(ABC):
 
     def test_damaged_depth_is_an_error_that_names_the_file(self, root: Path):
         dataset = self.open(root)
-        target = dataset.frames[0].target
+        target = dataset.pairs[0].target
         assert target is not None
         target.write_bytes(b"\x89PNG\r\n\x1a\n not one")
         with pytest.raises(InputError) as caught:

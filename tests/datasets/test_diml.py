@@ -160,7 +160,7 @@ class TestOutdoorTestFolder(TestOutdoorFull):
 def test_two_sizes_of_the_outdoor_test_photos_are_not_mixed(tmp_path: Path):
     write_outdoor_sample(tmp_path / "HR")
     write_outdoor_sample(tmp_path / "LR")
-    assert [frame.image.parts[-3] for frame in DIMLOutdoor(tmp_path, split="test").frames] == ["HR", "HR"]
+    assert [frame.image.parts[-3] for frame in DIMLOutdoor(tmp_path, split="test").pairs] == ["HR", "HR"]
 
 
 def test_outdoor_test_photos_are_not_for_training(tmp_path: Path):

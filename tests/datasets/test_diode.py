@@ -57,7 +57,7 @@ def test_each_takes_its_own_of_a_folder_with_both(tmp_path: Path, name: str, kin
     write_diode(tmp_path, "val", "indoors", 2.5)
     write_diode(tmp_path, "val", "outdoor", 250.0)
     dataset = DATASETS[name](tmp_path, split="test")
-    assert [frame.image.parts[-4] for frame in dataset.frames] == [kind, kind]
+    assert [frame.image.parts[-4] for frame in dataset.pairs] == [kind, kind]
 
 
 def test_masks_can_be_left_out_as_released(tmp_path: Path):
@@ -71,6 +71,6 @@ def test_masks_can_be_left_out_as_released(tmp_path: Path):
 def test_a_mask_of_another_size_is_an_error(tmp_path: Path):
     write_diode(tmp_path, "val", "indoors", 2.5)
     dataset = DATASETS["diode-indoor"](tmp_path, split="test")
-    np.save(dataset.frames[0].masks[0], np.ones((2, 2)))
+    np.save(dataset.pairs[0].masks[0], np.ones((2, 2)))
     with pytest.raises(InputError, match=r"_depth_mask\.npy is \(2, 2\)"):
         dataset[0]

@@ -48,7 +48,7 @@ class TestVal(TestTrain):
 def test_a_mask_of_another_size_is_an_error(tmp_path: Path):
     write_split(tmp_path, "train", 200)
     dataset = HRWSI(tmp_path)
-    write_png(dataset.frames[0].masks[0], np.full((2, 2), 255, np.uint8))
+    write_png(dataset.pairs[0].masks[0], np.full((2, 2), 255, np.uint8))
     with pytest.raises(InputError, match=r"valid_masks/boat_1\.png is \(2, 2\)"):
         dataset[0]
 

@@ -75,7 +75,7 @@ class TestVal(TestTest):
 def test_focal_length_of_the_published_size(tmp_path: Path):
     TestTest().write(tmp_path)
     dataset = Hypersim(tmp_path, split="test")
-    camera = dataset.read_camera(dataset.frames[0], (768, 1024))
+    camera = dataset.read_camera(dataset.pairs[0], (768, 1024))
     assert camera is not None
     assert camera.fx == pytest.approx(886.81, abs=0.001)
     assert (camera.cx, camera.cy) == (511.5, 383.5)
@@ -84,8 +84,8 @@ def test_focal_length_of_the_published_size(tmp_path: Path):
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (f"{COLUMNS}\nai_001_010,cam_00,one,True,,test\n", "line 2: needs scene_name"),
-        (f"{COLUMNS}\nai_001_010\n", "line 2: needs scene_name"),
+        (f"{COLUMNS}\nai_001_010,cam_00,one,True,,test\n", "line 2: needs the columns scene_name"),
+        (f"{COLUMNS}\nai_001_010\n", "line 2: needs the columns scene_name"),
         (f"{COLUMNS}\n../../etc,cam_00,0,True,,test\n", "leads out of"),
         (f"{COLUMNS}\n", "no photos of the split 'test'"),
         ("\xff", "cannot read the list"),

@@ -79,5 +79,5 @@ def test_masks_of_another_size_are_an_error(tmp_path: Path):
 def test_a_camera_of_other_numbers_is_an_error(tmp_path: Path):
     write_ibims(tmp_path, tmp_path / "imagelist.txt")
     (tmp_path / "calib/lab_02.txt").write_text("555.1,555.2")
-    with pytest.raises(InputError, match=r"lab_02\.txt must hold fx, fy, cx, cy; it holds 2"):
+    with pytest.raises(InputError, match=r"lab_02\.txt must hold four numbers, fx, fy, cx, cy; it holds 2"):
         IBims(tmp_path, split="test")[1]

@@ -53,4 +53,4 @@ def test_a_list_with_leading_slashes_gives_the_order(tmp_path: Path, base: str):
     start = f"/{base}/kitchen_0028b" if base else "/kitchen_0028b"
     rows = [f"{start}/rgb_{n}.jpg {start}/sync_depth_{n}.png 518.8579" for n in ("00045", "00012")]
     (tmp_path / "nyudepthv2_train_files_with_gt.txt").write_text("\n".join(rows) + "\n")
-    assert [frame.image.name for frame in NYU(tmp_path).frames] == ["rgb_00045.jpg", "rgb_00012.jpg"]
+    assert [frame.image.name for frame in NYU(tmp_path).pairs] == ["rgb_00045.jpg", "rgb_00012.jpg"]

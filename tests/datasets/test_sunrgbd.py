@@ -72,13 +72,13 @@ class TestFlat(DatasetTester):
 
 def test_official_folders_need_the_list_and_say_where_it_is(tmp_path: Path):
     write_official(tmp_path, "test")
-    with pytest.raises(InputError, match=r"sunrgbd_training_images\.txt \(github\.com/ankurhanda"):
+    with pytest.raises(InputError, match=r"sunrgbd_training_images\.txt \(get it from github\.com/ankurhanda"):
         SUNRGBD(tmp_path, split="train")
 
 
 def test_depth_may_have_another_name_than_its_photo(tmp_path: Path):
     write_official(tmp_path, "test")
-    depth = SUNRGBD(tmp_path, split="test").frames[0].target
+    depth = SUNRGBD(tmp_path, split="test").pairs[0].target
     assert depth is not None
     depth.rename(depth.with_name("0000063_abs.png"))
     assert SUNRGBD(tmp_path, split="test").missing_files() == []
@@ -93,14 +93,14 @@ def test_a_photo_without_a_number_is_an_error(tmp_path: Path):
 def test_depth_of_8_bits_is_an_error(tmp_path: Path):
     write_photo(tmp_path / "test/rgb/rgb/img-000001.jpg", SIZE)
     write_png(tmp_path / "test/gt/gt/1.png", np.ones(SIZE, np.uint8))
-    with pytest.raises(InputError, match=r"1\.png must have 16 bits; it has 8"):
+    with pytest.raises(InputError, match=r"1\.png must have 16 bits a pixel; it has 8"):
         SUNRGBD(tmp_path, split="test")[0]
 
 
 def test_a_camera_that_is_no_matrix_is_an_error(tmp_path: Path):
     write_official(tmp_path, "test")
     dataset = SUNRGBD(tmp_path, split="test")
-    camera = dataset.frames[0].camera
+    camera = dataset.pairs[0].camera
     assert camera is not None
     camera.write_text("529.5 530.5 365 265")
     with pytest.raises(InputError, match=r"intrinsics\.txt must hold the 9 numbers"):

@@ -45,7 +45,7 @@ class TestTest(TestTrain):
 
 def test_splits_share_nothing_and_leave_nothing_out(tmp_path: Path):
     write_vkitti(tmp_path)
-    train, test = ({frame.image for frame in VKITTI2(tmp_path, split=split).frames} for split in ("train", "test"))
+    train, test = ({frame.image for frame in VKITTI2(tmp_path, split=split).pairs} for split in ("train", "test"))
     assert not train & test
     assert len(train | test) == 25
 
@@ -55,7 +55,7 @@ def test_other_layouts_have_the_same_split(tmp_path: Path, photos: str, depth: s
     write_vkitti(tmp_path / "a")
     write_vkitti(tmp_path / "b", photos, depth)
     names = [
-        [frame.image.relative_to(dataset.root).parts[-6:] for frame in dataset.frames]
+        [frame.image.relative_to(dataset.root).parts[-6:] for frame in dataset.pairs]
         for dataset in (VKITTI2(tmp_path / folder, split="test") for folder in ("a", "b"))
     ]
     assert names[0] == names[1]
@@ -66,15 +66,15 @@ def test_the_split_never_changes(tmp_path: Path):
     """The two of 25 whose names' SHA-256 is smallest, by sha256sum."""
     write_vkitti(tmp_path)
     folder = tmp_path / "vkitti_2.0.3_rgb/Scene01/clone/frames/rgb/Camera_0"
-    found = [frame.image for frame in VKITTI2(tmp_path, split="test").frames]
+    found = [frame.image for frame in VKITTI2(tmp_path, split="test").pairs]
     assert found == [folder / "rgb_00008.jpg", folder / "rgb_00009.jpg"]
 
 
 def test_depth_of_8_bits_is_an_error(tmp_path: Path):
     write_vkitti(tmp_path)
     dataset = VKITTI2(tmp_path)
-    target = dataset.frames[0].target
+    target = dataset.pairs[0].target
     assert target is not None
     write_png(target, np.ones(SIZE, np.uint8))
-    with pytest.raises(InputError, match=r"must have 16 bits; it has 8"):
+    with pytest.raises(InputError, match=r"must have 16 bits a pixel; it has 8"):
         dataset[0]

@@ -45,7 +45,7 @@ class TestTrain(DatasetTester):
 def test_the_photo_is_stretched_to_its_proportions(tmp_path: Path):
     write_wsvd(tmp_path)
     dataset = WSVD(tmp_path)
-    assert dataset.read_photo(dataset.frames[0]).shape == (4, 6, 3)
+    assert dataset.read_photo(dataset.pairs[0]).shape == (4, 6, 3)
 
 
 def test_disparity_may_be_smaller_than_the_photo(tmp_path: Path):

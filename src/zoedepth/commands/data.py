@@ -1,6 +1,4 @@
-"""``zoedepth data``: what data sets there are, and whether a download is in order. And ``--data NAME=PATH``, as several
-commands read it.
-"""
+"""``zoedepth data``: list the data sets, and check a download. Also reads ``--data NAME=SOURCE`` for other commands."""
 
 import json
 import re
@@ -23,7 +21,7 @@ if TYPE_CHECKING:
 
 EXIT_NOT_IN_ORDER = 1
 _MOST_NAMED = 10
-"""Missing files that are named, of what may be a whole archive."""
+"""Missing files that are named; a whole archive may be missing."""
 
 
 def data(arguments: Sequence[str]) -> int:
@@ -71,17 +69,18 @@ def check(
     every: bool = False,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
-    """Is a download complete and readable, and is its depth what it should be?
+    """Check that a download is complete and readable, and that its depth is in the right unit.
 
-    Counts, missing and unreadable files, sizes, range of depth, and a picture to look at. Exit codes: 0 in order, 1 not
-    (it says why), 2 not such a folder at all.
+    Reports counts, missing and unreadable files, sizes and the range of depth, and draws a picture to look at. Exit
+    codes: 0 in order, 1 not in order (it says why), 2 another folder altogether.
 
     Args:
-        what: a name of `zoedepth data list`, and then its folder; or a list or folder of your own pairs.
-        folder: of the published data set, as `zoedepth data list` names it.
-        split: one of its splits, or the list in your own folder; None: the first, train where there is one.
-        sheet: write a picture of some pairs: .jpg, .png or .webp.
-        every: read every pair, not 50 evenly spread.
+        what: a name from `zoedepth data list`, followed by its folder; or a list or folder of your own pairs.
+        folder: the folder of the published data set.
+        split: a split of the data set, or the list in your own folder; None takes the first, which is train if there is
+            one.
+        sheet: write a picture of some pairs to this .jpg, .png or .webp.
+        every: read every pair instead of 50.
         json_: print one JSON object, and nothing else.
     """
     from rich.console import Console
@@ -93,7 +92,7 @@ def check(
     from zoedepth.images import PICTURE_SUFFIXES, write_image
 
     if sheet is not None and sheet.suffix.lower() not in PICTURE_SUFFIXES:
-        raise InputError(f"--sheet {sheet}: use one of {', '.join(PICTURE_SUFFIXES)}")
+        raise InputError(f"--sheet {sheet}: the name must end in one of {', '.join(PICTURE_SUFFIXES)}")
     dataset = _open_published(what, folder, split) if folder is not None else _open_pairs(what, split)
     about = dataset.about if isinstance(dataset, PublishedDataset) else None
     console = Console(stderr=True, highlight=False)
@@ -115,11 +114,11 @@ def check(
 
 
 SUBCOMMANDS: dict[str, Callable[..., int]] = {"list": list_, "check": check, "shard": shard}
-"""Name → function; its signature is its options."""
+"""Name → function, whose signature is the command's options."""
 
 
 def named_sources(values: Sequence[str]) -> dict[str, str]:
-    """NAME=SOURCE arguments as a dict; a bare SOURCE is named after its file's folder, its folder, or its scheme.
+    """Return NAME=SOURCE arguments as a dict; a bare SOURCE is named after its file's folder, its folder or its scheme.
 
     Raises:
         InputError: a name is empty or given twice.
@@ -143,7 +142,7 @@ def _own_name(source: str) -> str:
 
 
 def named_paths(values: Sequence[str]) -> dict[str, Path]:
-    """NAME=FOLDER arguments as a dict, likewise."""
+    """Return NAME=FOLDER arguments as a dict, with names as in ``named_sources``."""
     return {name: Path(source) for name, source in named_sources(values).items()}
 
 
@@ -151,7 +150,7 @@ def _open_published(name: str, folder: Path, split: str | None) -> "PublishedDat
     from zoedepth.datasets import DATASETS
 
     if name not in DATASETS:
-        raise InputError(f"there is no data set {name!r}; there are {', '.join(DATASETS)}")
+        raise InputError(f"there is no published data set {name!r}; there are {', '.join(DATASETS)}")
     dataset = DATASETS[name]
     return dataset(folder, split=split or next(iter(dataset.about.splits)), allow_missing=True)
 
@@ -161,12 +160,12 @@ def _open_pairs(path: str, split: str | None) -> "PairDataset":
     from zoedepth.datasets import DATASETS
 
     if path in DATASETS and not Path(path).exists():
-        raise InputError(f"say where it is: zoedepth data check {path} FOLDER")
+        raise InputError(f"say where {path} is: zoedepth data check {path} FOLDER")
     return PairDataset(path, split=split or "train", allow_missing=True)
 
 
 def _print(report: "Report", about: "About | None", *, path: str, split: str | None) -> None:
-    """The report as a table, then everything that is wrong by name."""
+    """Print the report as a table, then name everything that is wrong."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
@@ -198,7 +197,7 @@ def _say(console: "Console", text: str) -> None:
 
 
 def _rows(report: "Report", about: "About | None") -> Iterator[tuple[str, str]]:
-    published = "" if report.n_published is None else f" of {report.n_published:,} published"
+    published = "" if report.n_expected is None else f" of {report.n_expected:,} published"
     yield "pairs", f"{report.n_pairs:,}{published}"
     if report.n_without_truth:
         yield "without depth", f"{report.n_without_truth:,}, by its own list"
@@ -231,7 +230,7 @@ def _record(report: "Report", about: "About | None", *, path: str, split: str | 
         "split": split,
         "kind": report.kind,
         "pairs": report.n_pairs,
-        "published": report.n_published,
+        "published": report.n_expected,
         "without_truth": report.n_without_truth,
         "missing": len(report.missing),
         "first_missing": [str(file) for file in report.missing[:_MOST_NAMED]],
@@ -247,12 +246,12 @@ def _record(report: "Report", about: "About | None", *, path: str, split: str | 
 
 
 def _pairs(about: "About") -> str:
-    """Pairs of each split: "24,231 train, 654 test"."""
+    """Return the pairs of each split: "24,231 train, 654 test"."""
     return ", ".join(f"{'?' if n is None else f'{n:,}'} {split}" for split, n in about.splits.items())
 
 
 def _markdown(datasets: "dict[str, type[PublishedDataset]]") -> str:
-    """The table of the documentation, and below it each set's folder."""
+    """Return the table of the documentation, and below it the folder of each data set."""
     lines = ["| name | what | target | domain | stored as | pairs | licence |", "| --- " * 7 + "|"]
     sections = []
     for name, dataset in datasets.items():

@@ -1,4 +1,4 @@
-"""``zoedepth data shard SOURCE OUT``."""
+"""``zoedepth data shard``: write data as shards."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -21,20 +21,20 @@ def shard(
     domain: str | None = None,
     workers: int = 0,
 ) -> int:
-    """Write data as WebDataset shards: a few large files in place of many small ones, read as fast in any order.
+    """Write data as WebDataset shards: a few large files in place of many small ones, fast to copy and to read.
 
-    The samples stay the same bit for bit, and photos keep their own files' bytes. An interrupted run goes on when the
-    command is typed again.
+    The samples stay the same bit for bit, and photos keep the bytes of their files. Type the command again to go on
+    after an interruption.
 
     Args:
-        source: data in any format, see docs/your-data.md.
+        source: data in any form, see docs/your-data.md.
         out: folder for NAME-000000.tar ... and index.json.
-        name: of the data: that of a published set if it is one, and the beginning of the shards' names; None: data.
-        split: which list, folder or split of the source.
-        shard_size: 500MB, 2GB, or a number of samples.
+        name: what the shards are called; for a published data set, its name. None calls them data.
+        split: which list, folder or split of the source to take.
+        shard_size: how large a shard may become: 500MB, 2GB, or a number of samples.
         depth_scale: the stored value of one metre, where the source does not say it.
         domain: scene type, where the source does not say it.
-        workers: processes that read and pack; 0: one that does all.
+        workers: extra processes that read and pack; 0 does everything in one.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

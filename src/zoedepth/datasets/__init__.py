@@ -42,4 +42,4 @@ DATASETS: dict[str, type[PublishedDataset]] = {
     "apolloscape": ApolloScape,
     "irs": IRS,
 }
-"""Name → class."""
+"""Name → class, in the order of the documentation."""

@@ -4,20 +4,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.images import PICTURE_SUFFIXES
 from zoedepth.stored import read_png
 
 _NOTHING = 65535
-"""As in the ground truth that comes with the official evaluation, wherever its masks are empty; 0 there is none."""
+"""The value in the ground truth of the official evaluation wherever its masks are empty; 0 does not occur there."""
 
 
 class ApolloScape(PublishedDataset):
     """Streets from a car, left camera, disparity from lidar and models of the cars.
 
-    ApolloScape's other half, for scene parsing, has depth of what does not move; which half the paper trained on is not
-    documented, and later work took this one. Nor is it documented whether the file of the camera is about the rectified
-    pictures: it is not read.
+    ApolloScape's other half, for scene parsing, has depth of things that do not move. Which half the paper trained on
+    is not documented; later work took this one. It is not documented either whether the camera file describes the
+    rectified pictures, so the file is not read.
     """
 
     about = About(
@@ -34,14 +34,14 @@ stereo_train_001/disparity/171206_034559609_Camera_5.png
         splits={"train": None},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         return [
-            Frame(photo, photo.parents[1] / "disparity" / f"{photo.stem}.png")
+            PairFiles(photo, photo.parents[1] / "disparity" / f"{photo.stem}.png")
             for photo in self.find("stereo_train_*/camera_5/*")
             if photo.suffix.lower() in PICTURE_SUFFIXES
         ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        stored = read_png(frame.target)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        stored = read_png(pair.target)
         return stored.astype(np.float32), (stored > 0) & (stored < _NOTHING)

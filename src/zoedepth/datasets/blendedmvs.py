@@ -4,20 +4,20 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.stored import read_pfm
+from zoedepth.stored import read_pfm, read_text
 
 _LISTS = {"train": ("BlendedMVS_training.txt", "training_list.txt"), "val": ("validation_list.txt",)}
-"""Lists of scenes; the second is the first's name in older downloads."""
+"""Split → names of its list of scenes; older downloads have the second name."""
 
 
 class BlendedMVS(PublishedDataset):
     """Buildings, sculptures and things from many sides, photo and depth rendered from a reconstruction.
 
-    The depth of each scene has a scale of its own, so this is a set of disparity: 1 / depth. A few maps are empty: the
-    reconstruction has holes. Of the 113 scenes 106 are "train".
+    The depth of each scene has a scale of its own, so the target is disparity: 1 / depth. A few maps are empty, because
+    the reconstruction has holes. 106 of the 113 scenes are "train".
     """
 
     about = About(
@@ -36,31 +36,31 @@ BlendedMVS_training.txt, validation_list.txt                  (else from project
         splits={"train": None, "val": None},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         names = _LISTS[self.split]
         name = next((name for name in names if (self.root / name).is_file()), names[0])
-        frames = []
-        for scene, *_ in self.lines(name, origin="project_lists/ of github.com/YoYo000/BlendedMVS"):
+        pairs = []
+        for scene, *_ in self.lines(name, origin="from project_lists/ of github.com/YoYo000/BlendedMVS"):
             folder = self.inside(scene)
             for photo in self.find(f"{folder.relative_to(self.root)}/blended_images/*.jpg"):
                 if not photo.stem.endswith("_masked"):
                     target = folder / "rendered_depth_maps" / f"{photo.stem}.pfm"
-                    frames.append(Frame(photo, target, camera=folder / "cams" / f"{photo.stem}_cam.txt"))
-        return frames
+                    pairs.append(PairFiles(photo, target, camera=folder / "cams" / f"{photo.stem}_cam.txt"))
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_pfm(frame.target)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_pfm(pair.target)
         known = np.isfinite(depth) & (depth > 0)
         return 1 / np.where(known, depth, 1), known
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
         # The words "extrinsic", 16 numbers, "intrinsic", 9 numbers, and the range of depth.
-        assert frame.camera is not None
+        assert pair.camera is not None
         try:
-            words = frame.camera.read_text(encoding="utf-8").split()
+            words = read_text(pair.camera).split()
             start = words.index("intrinsic") + 1
             matrix = [float(word) for word in words[start : start + 9]]
             return Intrinsics(matrix[0], matrix[4], matrix[2], matrix[5])
-        except (OSError, ValueError, IndexError) as error:
-            raise InputError(f"{frame.camera} is not a camera file of MVSNet ({error})") from error
+        except (ValueError, IndexError) as error:
+            raise InputError(f"{pair.camera} is not a camera file of MVSNet ({error})") from error

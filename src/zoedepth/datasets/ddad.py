@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.stored import read_npy
 
 
@@ -30,11 +30,11 @@ ddad_val/000000_depth.npy
         sparse=True,
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         photos = self.find("ddad_val/*_rgb.png")
-        return [Frame(photo, photo.with_name(f"{photo.stem.removesuffix('_rgb')}_depth.npy")) for photo in photos]
+        return [PairFiles(photo, photo.with_name(f"{photo.stem.removesuffix('_rgb')}_depth.npy")) for photo in photos]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_npy(frame.target).astype(np.float32)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_npy(pair.target).astype(np.float32)
         return depth, np.isfinite(depth) & (depth > 0)

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.stored import read_png
+from zoedepth.stored import read_png, read_png16
 
 _SAMPLES = {"train": ("train/HR", "train/LR"), "test": ("test/HR", "test/LR", "HR", "LR")}
-"""Where the sample release's photos of a split may lie; the largest is taken. ZoeDepth's folder is test/ itself."""
+"""Split → folders that may hold its photos in the sample release; the first that does is taken, and has the largest.
+ZoeDepth's folder is test/ itself."""
 
 _FARTHEST_INDOOR = 65500
 _MIN_CONFIDENCE = 0.9
@@ -20,7 +21,7 @@ _MIN_CONFIDENCE = 0.9
 class DIMLIndoor(PublishedDataset):
     """Rooms by a Kinect v2, its depth filled and enlarged to the photo. The full release is all "train".
 
-    It has, others say, about 220 000 pairs; their camera is the one that others' loaders take.
+    It is said to have about 220 000 pairs. The camera is the one that other people's loaders take.
     """
 
     about = About(
@@ -40,38 +41,39 @@ train/HR/<scene>/depth_filled/<name>_depth_filled.png
         splits={"train": None, "test": 503},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         for folder in _SAMPLES[self.split]:
             if photos := sorted(self.root.glob(f"{folder}/*/color/*_c.png")):
                 return [
-                    Frame(
+                    PairFiles(
                         photo, photo.parents[1] / "depth_filled" / f"{photo.stem.removesuffix('_c')}_depth_filled.png"
                     )
                     for photo in photos
                 ]
-        frames = []
+        pairs = []
         for folder in self.find("*/*/*/col" if self.split == "train" else "test/HR/*/color/*_c.png"):
             depths = folder.with_name("up_png")
-            # One suffix for all of a folder, which is not documented.
+            # A folder has one suffix for all of its files; which one is not documented.
             one = min(depths.glob("*.png"), default=None)
             suffix = one.stem.rpartition("_")[2] if one else "*"
             for photo in sorted(folder.glob("*_c.png")):
-                frames.append(Frame(photo, depths / f"{photo.stem.removesuffix('_c')}_{suffix}.png"))
-        return frames
+                pairs.append(PairFiles(photo, depths / f"{photo.stem.removesuffix('_c')}_{suffix}.png"))
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        stored = _read_millimetres(frame)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        stored = read_png16(pair.target)
         return stored.astype(np.float32) / 1000, (stored > 0) & (stored <= _FARTHEST_INDOOR)
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
         return Intrinsics(1081, 1081, 704, 396) if size == (792, 1408) else None
 
 
 class DIMLOutdoor(PublishedDataset):
     """Streets, parks and buildings by stereo cameras, depth by stereo matching. The full release is all "train".
 
-    "test" is the sample release's 500, in the layout that ZoeDepth tests on. Whether the paper tested on these, in this
-    unit, is not certain: the released code, run on them, gives another result than the paper's.
+    "test" is the 500 pairs of the sample release, in the layout that ZoeDepth tests on. It is not certain that the
+    paper tested on these, in this unit: the released code gives another result on them than the paper's.
     """
 
     about = About(
@@ -93,11 +95,11 @@ train/HR/confidencemap/<name>.png                (optional; not read for "test")
         splits={"train": None, "test": 500},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         for folder in (*_SAMPLES[self.split], *(["*"] if self.split == "test" else [])):
             if photos := sorted(self.root.glob(f"{folder}/outleft/*.png")):
                 return [
-                    Frame(
+                    PairFiles(
                         photo,
                         photo.parents[1] / "depthmap" / photo.name,
                         # The paper's protocol scores all depth.
@@ -105,36 +107,29 @@ train/HR/confidencemap/<name>.png                (optional; not read for "test")
                     )
                     for photo in photos
                 ]
-        frames = []
+        pairs = []
         for photo in self.find("*/*/left/*_left.png" if self.split == "train" else "test/HR/outleft/*.png"):
             batch, name = photo.parents[1], photo.stem.removesuffix("_left")
             confidence = _optional(batch / "conf" / f"{name}_conf.png")
-            frames.append(Frame(photo, batch / "depth" / f"{name}_depth.png", confidence))
-        return frames
+            pairs.append(PairFiles(photo, batch / "depth" / f"{name}_depth.png", confidence))
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        stored = _read_millimetres(frame)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        stored = read_png16(pair.target)
         known = stored > 0
-        for path in frame.masks:
+        for path in pair.masks:
             confidence = read_png(path)
             if confidence.shape != stored.shape:
-                raise InputError(f"{path} is {confidence.shape} and {frame.target} is {stored.shape}: sizes must agree")
+                raise InputError(f"{path} is {confidence.shape} and {pair.target} is {stored.shape}: sizes must agree")
             known &= confidence > 255 * _MIN_CONFIDENCE
         return stored.astype(np.float32) / 1000, known
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # The ZED's at its full size; the principal point is not published and taken as the middle.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The ZED's camera at its full size; its principal point is not published, and is taken to be the middle.
         return Intrinsics(1398.4, 1398.4, 959.5, 539.5) if size == (1080, 1920) else None
 
 
 def _optional(path: Path) -> tuple[Path, ...]:
-    """The file, which must exist if its folder does."""
+    """Return the file if its folder exists; then it must exist, too."""
     return (path,) if path.parent.is_dir() else ()
-
-
-def _read_millimetres(frame: Frame) -> np.ndarray:
-    assert frame.target is not None
-    stored = read_png(frame.target)
-    if stored.dtype != np.uint16:
-        raise InputError(f"{frame.target} must have 16 bits; it has {8 * stored.dtype.itemsize}")
-    return stored

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.stored import read_npy
@@ -15,7 +15,7 @@ from zoedepth.stored import read_npy
 class DIODEIndoor(PublishedDataset):
     """Rooms with a laser scanner's dense depth. "test" is the official validation: the test photos have no depth.
 
-    The photos are those in the folder: the devkit's JSON lists but two thirds of the indoor ones.
+    All photos in the folder are taken: the devkit's JSON lists only two thirds of the indoor ones.
     """
 
     about = About(
@@ -33,12 +33,12 @@ val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010_depth_mask.npy
         splits={"train": 8574, "test": 325},
     )
     folder: ClassVar[str] = "indoors"
-    """Below the folder of the split."""
+    """The folder below that of the split."""
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         photos = self.find(f"{'val' if self.split == 'test' else self.split}/{self.folder}/scene_*/scan_*/*.png")
         return [
-            Frame(
+            PairFiles(
                 photo,
                 photo.with_name(f"{photo.stem}_depth.npy"),
                 masks=(photo.with_name(f"{photo.stem}_depth_mask.npy"),),
@@ -46,16 +46,16 @@ val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010_depth_mask.npy
             for photo in photos
         ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth, mask = read_npy(frame.target).astype(np.float32), read_npy(frame.masks[0])
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth, mask = read_npy(pair.target).astype(np.float32), read_npy(pair.masks[0])
         if mask.shape != depth.shape:
-            raise InputError(f"{frame.masks[0]} is {mask.shape} and {frame.target} is {depth.shape}: sizes must agree")
+            raise InputError(f"{pair.masks[0]} is {mask.shape} and {pair.target} is {depth.shape}: sizes must agree")
         valid = mask > 0 if self.use_masks else np.ones(depth.shape, bool)
         return depth, valid & np.isfinite(depth) & (depth > 0)
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # Of the 1024x768 photos; intrinsics.txt of the devkit.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The camera of the photos, 1024x768: intrinsics.txt of the devkit.
         return Intrinsics(886.81, 927.06, 512.0, 384.0)
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.stored import read_mask, read_png
 
@@ -12,7 +12,7 @@ from zoedepth.stored import read_mask, read_png
 class HRWSI(PublishedDataset):
     """Stereo photos of all kinds from the web; disparity by optical flow, up to scale and shift. The camera is unknown.
 
-    The masks say where the flow forward and the flow backward agree. The instance masks are not needed.
+    The masks say where the forward and the backward flow agree. The instance masks are not needed.
     """
 
     about = About(
@@ -30,18 +30,18 @@ train/valid_masks/<name>.png
         splits={"train": 20378, "val": 400},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         folder = self.root / self.split
         return [
-            Frame(photo, folder / f"gts/{photo.stem}.png", masks=(folder / f"valid_masks/{photo.stem}.png",))
+            PairFiles(photo, folder / f"gts/{photo.stem}.png", masks=(folder / f"valid_masks/{photo.stem}.png",))
             for photo in self.find(f"{self.split}/imgs/*.jpg")
         ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        disparity, known = read_png(frame.target).astype(np.float32), read_mask(frame.masks[0])
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        disparity, known = read_png(pair.target).astype(np.float32), read_mask(pair.masks[0])
         if known.shape != disparity.shape:
             raise InputError(
-                f"{frame.masks[0]} is {known.shape} and {frame.target} is {disparity.shape}: sizes must agree"
+                f"{pair.masks[0]} is {known.shape} and {pair.target} is {disparity.shape}: sizes must agree"
             )
         return disparity, known

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.images import read_image
@@ -31,36 +31,36 @@ ibims1_core_raw/calib/corridor_01.txt
         splits={"test": 100},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
-        # The folder ibims1_core_raw itself will do, too.
+    def list_pairs(self) -> Sequence[PairFiles]:
+        # The folder may also be ibims1_core_raw itself.
         base = "ibims1_core_raw" if (self.root / "ibims1_core_raw").is_dir() else "."
         listed = "imagelist.txt" if (self.root / "imagelist.txt").is_file() else f"{base}/imagelist.txt"
-        frames = []
+        pairs = []
         for name, *_ in self.lines(listed, origin="from the same page"):
-            frames.append(
-                Frame(
+            pairs.append(
+                PairFiles(
                     self.inside(f"{base}/rgb/{name}.png"),
                     self.inside(f"{base}/depth/{name}.png"),
                     masks=tuple(self.inside(f"{base}/{mask}/{name}.png") for mask in ("mask_invalid", "mask_transp")),
                     camera=self.inside(f"{base}/calib/{name}.txt"),
                 )
             )
-        return frames
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_png(frame.target).astype(np.float32) * (50 / 65535)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_png(pair.target).astype(np.float32) * (50 / 65535)
         known = depth > 0
-        for path in frame.masks:
-            mask = read_image(path)[..., 0]  # a photo's reader: they have 1 bit, which those of depth refuse
+        for path in pair.masks:
+            mask = read_image(path)[..., 0] > 0  # a photo's reader takes 1 bit, which a reader of depth refuses
             if mask.shape != depth.shape:
-                raise InputError(f"{path} is {mask.shape} and {frame.target} is {depth.shape}: sizes must agree")
-            known &= mask > 0
+                raise InputError(f"{path} is {mask.shape} and {pair.target} is {depth.shape}: sizes must agree")
+            known &= mask
         return depth, known
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        assert frame.camera is not None
-        numbers = read_numbers(frame.camera)
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        assert pair.camera is not None
+        numbers = read_numbers(pair.camera)
         if len(numbers) != 4:
-            raise InputError(f"{frame.camera} must hold fx, fy, cx, cy; it holds {len(numbers)} numbers")
+            raise InputError(f"{pair.camera} must hold four numbers, fx, fy, cx, cy; it holds {len(numbers)}")
         return Intrinsics(*numbers)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.stored import read_exr
@@ -28,22 +28,22 @@ IRSDataset/Home/ArchVizInterior03Data/d_00001.exr
         splits={"train": None, "test": 14762},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         name = f"lists/irs_{self.split}.list"
-        frames = []
+        pairs = []
         for number, row in enumerate(self.lines(name, origin="from github.com/HKBU-HPML/IRS"), start=1):
             if len(row) < 3:
                 raise InputError(self.explain(f"line {number} of {name} must name left, right and disparity"))
-            # The older lists begin with the folder.
+            # In older lists the paths begin with the folder.
             left, disparity = (f"IRSDataset/{row[place].removeprefix('IRSDataset/')}" for place in (0, 2))
-            frames.append(Frame(self.inside(left), self.inside(disparity)))
-        return frames
+            pairs.append(PairFiles(self.inside(left), self.inside(disparity)))
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        disparity = read_exr(frame.target)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        disparity = read_exr(pair.target)
         return disparity, np.isfinite(disparity) & (disparity > 0)
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # The focal length is the authors'; a rendered picture's principal point is its middle.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The authors give the focal length; the principal point of a rendered picture is its middle.
         return Intrinsics(480, 480, (size[1] - 1) / 2, (size[0] - 1) / 2)

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.stored import read_png
+from zoedepth.stored import read_png, read_text
 
 
 class KITTI(PublishedDataset):
@@ -31,29 +31,32 @@ kitti_eigen_train_files_with_gt.txt, kitti_eigen_test_files_with_gt.txt     (fro
         sparse=True,
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         rows = self.lines(f"kitti_eigen_{self.split}_files_with_gt.txt", origin="from github.com/cleinc/bts")
         folder = "gt" if (self.root / "gt").is_dir() else ""
-        frames = []
+        pairs = []
         for number, row in enumerate(rows, start=1):
             if len(row) < 2:
                 raise InputError(self.explain(f"line {number} of the list must name a photo and its depth"))
             target = None if row[1] == "None" else self.inside(f"{folder}/{row[1]}")
-            frames.append(Frame(self.inside(row[0]), target))
-        return frames
+            pairs.append(PairFiles(self.inside(row[0]), target))
+        return pairs
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_png(frame.target).astype(np.float32) / 256
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_png(pair.target).astype(np.float32) / 256
         return depth, depth > 0
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
         # <date>/<drive>/image_02/data/<frame>.png
-        calibration = frame.image.parents[3] / "calib_cam_to_cam.txt"
+        calibration = pair.image.parents[3] / "calib_cam_to_cam.txt"
         if not calibration.is_file():
             return None
-        for line in calibration.read_text(encoding="utf-8").splitlines():
-            if line.startswith(f"P_rect_{frame.image.parents[1].name.removeprefix('image_')}:"):
-                row = [float(word) for word in line.split()[1:]]
-                return Intrinsics(row[0], row[5], row[2], row[6])
-        raise InputError(f"{calibration} has no P_rect of {frame.image.parents[1].name}")
+        for line in read_text(calibration).splitlines():
+            if line.startswith(f"P_rect_{pair.image.parents[1].name.removeprefix('image_')}:"):
+                try:
+                    row = [float(word) for word in line.split()[1:]]
+                    return Intrinsics(row[0], row[5], row[2], row[6])
+                except (ValueError, IndexError) as error:
+                    raise InputError(f"{calibration}: {line[:9]} is not a matrix of 12 numbers ({error})") from error
+        raise InputError(f"{calibration} has no P_rect of {pair.image.parents[1].name}: unpack the calibration again")

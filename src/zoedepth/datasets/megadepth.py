@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.images import PICTURE_SUFFIXES
 from zoedepth.stored import read_hdf5
 
@@ -16,11 +16,12 @@ _MIN_POSITIVE = 10
 class MegaDepth(PublishedDataset):
     """Tourists' photos of landmarks with depth by structure from motion. The camera is not in the archive.
 
-    The depth of each scene has a scale of its own, so this is a set of disparity: 1 / depth, of the depths between the
-    1st and the 98th percentile, as the authors train. Some files hold no depth but labels of what is nearer, in whole
-    numbers, some negative: of these pairs nothing is known. The official test lists are pickles and are not read.
+    The depth of each scene has a scale of its own, so the target is disparity: 1 / depth. It is known for the depths
+    between the 1st and the 98th percentile, as the authors train. Some files hold no depth but labels that say which
+    region is nearer, in whole numbers, some negative: nothing is known for these pairs. The official test lists are
+    pickles and are not read.
 
-    The licence is that of the data as others state it; the authors' code is MIT.
+    The licence is that of the data, as others state it; the authors' code is MIT.
     """
 
     about = About(
@@ -37,17 +38,17 @@ MegaDepth_v1/0000/dense0/depths/<name>.h5
         splits={"train": None},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         base = next(folder for folder in _FOLDERS if (self.root / folder).is_dir())
         return [
-            Frame(photo, photo.parents[1] / "depths" / f"{photo.stem}.h5")
+            PairFiles(photo, photo.parents[1] / "depths" / f"{photo.stem}.h5")
             for photo in self.find(f"{base}/*/dense*/imgs/*")
             if photo.suffix.lower() in PICTURE_SUFFIXES
         ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_hdf5(frame.target, "depth").astype(np.float32)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_hdf5(pair.target, "depth").astype(np.float32)
         positive = depth[np.isfinite(depth) & (depth > 0)]
         labels = (depth < 0).any() or (positive == np.rint(positive)).all()
         if labels or len(positive) <= _MIN_POSITIVE:

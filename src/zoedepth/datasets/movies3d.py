@@ -6,20 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.stored import read_mask, read_png, read_png_with_text
 
 _MAX_UNCERTAINTY = 20
-"""As stored: 2 pixels, the authors' threshold."""
+"""The authors' threshold, 2 pixels, in the unit of the files."""
 
 
 class Movies3D(PublishedDataset):
     """Frames of 3-D films; disparity by optical flow, signed, at half the frames' size. The camera is unknown.
 
-    There is nothing to download but lists and scripts: buy the films, then extract frames and make disparity with the
-    scripts. Films of a list that are not there are left out. The sky has the least disparity of its frame, where it is
-    known; the authors segment it with any network, and do not say where to put the masks: the folder is ours.
+    Only lists and scripts can be downloaded: buy the films, then extract frames and make disparity with the scripts.
+    Films that a list names and that you do not have are left out. The sky, where it is known, has the least disparity
+    of its frame. The authors find it with any segmentation network and do not say where to put the masks, so the folder
+    ``sky`` is our choice.
     """
 
     about = About(
@@ -40,14 +41,14 @@ sky/exodus/chapter2/out00000005.png                       (optional, not 0 is sk
         splits={"train": 75074, "val": 3058, "test": 788},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         name = f"lists/{'validation' if self.split == 'val' else self.split}.txt"
         listed = [row[0] for row in self.lines(name, origin="from github.com/lasinger/3DVideos2Stereo")]
         films = {path.name for path in self.find("image_left/*")}
-        # In this order: read_target goes by it.
+        # read_target relies on this order.
         masks = ("uncertainty", "sky") if (self.root / "sky").is_dir() else ("uncertainty",)
         return [
-            Frame(
+            PairFiles(
                 self.inside(f"image_left/{frame}.jpg"),
                 self.inside(f"disparity/{frame}.png"),
                 masks=tuple(self.inside(f"{folder}/{frame}.png") for folder in masks),
@@ -56,19 +57,21 @@ sky/exodus/chapter2/out00000005.png                       (optional, not 0 is sk
             if frame.split("/")[0] in films
         ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        stored, text = read_png_with_text(frame.target)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        stored, text = read_png_with_text(pair.target)
         try:
             offset, scale = float(text["offset"]), float(text["scale"])
         except (KeyError, ValueError) as error:
-            raise InputError(f"{frame.target} needs the text chunks 'offset' and 'scale', numbers") from error
+            raise InputError(
+                f"{pair.target} needs the text chunks 'offset' and 'scale' with numbers: make it with the script"
+            ) from error
         if not (math.isfinite(offset) and math.isfinite(scale) and scale > 0):
-            raise InputError(f"{frame.target} has offset {offset} and scale {scale}: need finite ones, scale > 0")
+            raise InputError(f"{pair.target} has offset {offset} and scale {scale}: they must be finite, and scale > 0")
         disparity, known = (offset + scale * stored).astype(np.float32), np.ones(stored.shape, bool)
-        for path in frame.masks[:1]:
+        for path in pair.masks[:1]:
             known = _fitting(read_png(path) <= _MAX_UNCERTAINTY, path, stored.shape)
-        for path in frame.masks[1:]:
+        for path in pair.masks[1:]:
             sky = read_mask(path)
             if sky.shape == (2 * stored.shape[0], 2 * stored.shape[1]):
                 sky = sky[::2, ::2]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.stored import read_png
 
@@ -28,22 +28,24 @@ official_splits/test/<scene>/rgb_00045.jpg, sync_depth_00045.png
         splits={"train": 24231, "test": 654},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         folder = "sync" if self.split == "train" else "official_splits/test"
         name = f"nyudepthv2_{self.split}_files_with_gt.txt"
         if (self.root / name).is_file():
             rows = self.lines(name, origin="from github.com/cleinc/bts")
-            # The lists in circulation are relative to the folder itself.
+            # The paths of the lists in circulation are relative to the folder itself.
             base = folder if not self.inside(rows[0][0]).is_file() else ""
-            return [Frame(self.inside(f"{base}/{row[0]}"), self.inside(f"{base}/{row[1]}")) for row in rows]
+            return [PairFiles(self.inside(f"{base}/{row[0]}"), self.inside(f"{base}/{row[1]}")) for row in rows]
         photos = self.find(f"{folder}/*/rgb_*.jpg")
-        return [Frame(photo, photo.with_name(f"sync_depth_{photo.stem.removeprefix('rgb_')}.png")) for photo in photos]
+        return [
+            PairFiles(photo, photo.with_name(f"sync_depth_{photo.stem.removeprefix('rgb_')}.png")) for photo in photos
+        ]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_png(frame.target).astype(np.float32) / 1000
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_png(pair.target).astype(np.float32) / 1000
         return depth, depth > 0
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # Of the 640x480 photos; calibrated by the authors' toolbox.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The camera of the photos, 640x480, from the authors' toolbox.
         return Intrinsics(518.8579, 519.4696, 325.5824, 253.7362)

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.stored import read_npy
 
@@ -14,8 +14,8 @@ _INDOOR = ("carwelding", "hospital", "office", "office2")
 class TartanAir(PublishedDataset):
     """A camera's flights through 18 rendered places, four of them indoors, left camera.
 
-    The sky is known and about 10000 m away: as disparity it is practically 0, which is what training on relative depth
-    wants. Those who train on metres have to bound the depth.
+    The sky is known and about 10000 m away. Its disparity is practically 0, as training on relative depth needs it;
+    bound the depth to train on metres.
     """
 
     about = About(
@@ -32,20 +32,20 @@ abandonedfactory/Easy/P001/depth_left/000000_left_depth.npy       Easy/..., as t
         splits={"train": None},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         pattern = "*/*/P*/image_left/*_left.png"
         photos = self.find(pattern if any(self.root.glob(pattern)) else f"*/{pattern}")
-        return [Frame(photo, photo.parents[1] / "depth_left" / f"{photo.stem}_depth.npy") for photo in photos]
+        return [PairFiles(photo, photo.parents[1] / "depth_left" / f"{photo.stem}_depth.npy") for photo in photos]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        depth = read_npy(frame.target).astype(np.float32)
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        depth = read_npy(pair.target).astype(np.float32)
         return depth, np.isfinite(depth) & (depth > 0)
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # Of the 640x480 photos; given by the authors.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The camera of the photos, 640x480, given by the authors.
         return Intrinsics(320, 320, 320, 240)
 
-    def domain_of(self, frame: Frame) -> str:
+    def domain_of(self, pair: PairFiles) -> str:
         # <place>/Easy/P001/image_left/000000_left.png
-        return "indoor" if frame.image.parents[3].name in _INDOOR else "outdoor"
+        return "indoor" if pair.image.parents[3].name in _INDOOR else "outdoor"

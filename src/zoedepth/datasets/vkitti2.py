@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from zoedepth.datasets.published import About, Frame, PublishedDataset
-from zoedepth.errors import InputError
+from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.stored import read_png
+from zoedepth.stored import read_png16
 
 _FOLDERS = (("vkitti_2.0.3_rgb", "vkitti_2.0.3_depth"), ("rgb", "depth"), (".", "."))
-"""(photos, depth): each archive in a folder of its name, as ZoeDepth wants them, or both in one folder."""
+"""(photos, depth): a folder for each archive, named after it or as ZoeDepth wants it, or one folder for both."""
 
 _SKY = 65535
 _TEST_SHARE = 0.08
@@ -21,8 +20,9 @@ _TEST_SHARE = 0.08
 class VKITTI2(PublishedDataset):
     """Rendered drives of KITTI, left camera, in ten kinds of weather and view.
 
-    There is no official split, and the paper's 8 % were drawn without a seed and are lost. "test" is our own 8 %: the
-    photos whose names below Scene*/ have the smallest SHA-256. It has the paper's number of photos, not its photos.
+    There is no official split. The paper's 8 % for testing were drawn without a seed and are lost. "test" is our own
+    8 %: the photos whose names below Scene*/ have the smallest SHA-256. They are as many as the
+    paper's, but not the same.
     """
 
     about = About(
@@ -39,7 +39,7 @@ vkitti_2.0.3_depth/Scene01/clone/frames/depth/Camera_0/depth_00000.png    (or de
         splits={"train": 19559, "test": 1701},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
+    def list_pairs(self) -> Sequence[PairFiles]:
         photos_in, depth_in = next(both for both in _FOLDERS if (self.root / both[0]).is_dir())
         base = self.root / photos_in
         photos = {
@@ -49,22 +49,20 @@ vkitti_2.0.3_depth/Scene01/clone/frames/depth/Camera_0/depth_00000.png    (or de
         drawn = sorted(photos, key=lambda name: hashlib.sha256(name.encode()).digest())
         n_test = round(_TEST_SHARE * len(drawn))
         chosen = sorted(drawn[:n_test] if self.split == "test" else drawn[n_test:])
-        return [Frame(photos[name], self.root / depth_in / _depth_name(name)) for name in chosen]
+        return [PairFiles(photos[name], self.root / depth_in / _depth_name(name)) for name in chosen]
 
-    def read_target(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        assert frame.target is not None
-        stored = read_png(frame.target)
-        if stored.dtype != np.uint16:
-            raise InputError(f"{frame.target} must have 16 bits; it has {8 * stored.dtype.itemsize}")
+    def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
+        assert pair.target is not None
+        stored = read_png16(pair.target)
         return stored.astype(np.float32) / 100, (stored > 0) & (stored < _SKY)
 
-    def read_camera(self, frame: Frame, size: tuple[int, int]) -> Intrinsics | None:
-        # Of all 1242x375 photos; intrinsic.txt of the archive textgt.
+    def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
+        # The camera of all photos, 1242x375: intrinsic.txt of the archive textgt.
         return Intrinsics(725.0087, 725.0087, 620.5, 187.0)
 
 
 def _depth_name(photo: str) -> Path:
-    """Scene01/clone/frames/rgb/Camera_0/rgb_00000.jpg → Scene01/clone/frames/depth/Camera_0/depth_00000.png"""
+    """Return the name of a photo's depth: Scene01/clone/frames/depth/Camera_0/depth_00000.png for …/rgb_00000.jpg."""
     scene, variant, frames, _, camera, name = photo.split("/")
     number = Path(name).stem.removeprefix("rgb_")
     return Path(scene, variant, frames, "depth", camera, f"depth_{number}.png")

@@ -1,4 +1,4 @@
-"""WSVD: stereo videos of the web, in a layout of our own: the authors publish addresses of videos only."""
+"""WSVD: stereo videos of the web, in a layout of our own, because the authors publish only addresses of videos."""
 
 from collections.abc import Sequence
 
@@ -6,17 +6,17 @@ import numpy as np
 from PIL import Image
 
 from zoedepth.datasets.movies3d import Movies3D
-from zoedepth.datasets.published import About, Frame
+from zoedepth.datasets.published import About, PairFiles
 from zoedepth.images import ImageArray, read_image
 
 
 class WSVD(Movies3D):
     """Stereo videos of all kinds from the web; disparity by optical flow, signed. The camera is unknown.
 
-    The authors store no depth, and the folder is yours to make: download the videos that are still there, extract
-    frames, stretch the halves to twice their width, run an optical flow network from the left to the right one, and
-    write its negated horizontal part as the scripts of 3D Movies do, of any size, with its uncertainty. The authors
-    also check that the vertical part is at most a pixel. Their lists of clips are pickles and are not read.
+    The authors store no depth, so you have to make the folder yourself: download the videos that are still there,
+    extract frames, stretch the halves to twice their width, and run an optical flow network from the left to the right
+    one. Write its negated horizontal part with its uncertainty, of any size, as the scripts of 3D Movies do. The
+    authors also check that the vertical part is at most a pixel. Their lists of clips are pickles and are not read.
     """
 
     about = About(
@@ -34,18 +34,18 @@ class WSVD(Movies3D):
         splits={"train": None},
     )
 
-    def list_frames(self) -> Sequence[Frame]:
-        frames = []
+    def list_pairs(self) -> Sequence[PairFiles]:
+        pairs = []
         for folder in self.find("*/frames"):
             uncertainty = folder.with_name("uncertainty")
             for photo in sorted(folder.glob("*.jpg")):
                 name = f"{photo.stem}.png"
                 masks = (uncertainty / name,) if uncertainty.is_dir() else ()
-                frames.append(Frame(photo, folder.with_name("disparity") / name, masks))
-        return frames
+                pairs.append(PairFiles(photo, folder.with_name("disparity") / name, masks))
+        return pairs
 
-    def read_photo(self, frame: Frame) -> ImageArray:
-        """The left half, stretched to its true proportions."""
-        both = read_image(frame.image)
+    def read_photo(self, pair: PairFiles) -> ImageArray:
+        """Read the left half, stretched to its true proportions."""
+        both = read_image(pair.image)
         left = Image.fromarray(both[:, : both.shape[1] // 2])
         return np.asarray(left.resize((2 * left.width, left.height), Image.Resampling.BILINEAR))

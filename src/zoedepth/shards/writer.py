@@ -160,7 +160,7 @@ def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
     """(file of the photo, the stored value of one metre), where there is one."""
     if isinstance(dataset, PairDataset):
         return dataset.pairs[index].image, dataset.pairs[index].scale
-    return (dataset.frames[index].image if isinstance(dataset, PublishedDataset) else None), None
+    return (dataset.pairs[index].image if isinstance(dataset, PublishedDataset) else None), None
 
 
 def _pack_photo(sample: Sample, path: Path | None) -> dict[str, bytes]:
