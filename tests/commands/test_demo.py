@@ -9,8 +9,8 @@ from PIL import Image
 
 from zoedepth.cli import main
 from zoedepth.commands.demo import motorcycle_depth
-from zoedepth.images import read_depth
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.stored import read_depth
 
 
 def test_measured_depth_is_in_metres() -> None:
