@@ -41,11 +41,13 @@ def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
     photos = {"motorcycle": data.stereo_motorcycle()[0], "rocket": data.rocket(), "coffee": data.coffee()}
     truth = motorcycle_depth()
 
+    from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
     from zoedepth.weights.load import load_model
 
     console = Console(highlight=False)
-    predictor = Predictor(load_model(model), device="auto")
+    with download_progress() as progress:
+        predictor = Predictor(load_model(model, progress=progress), device="auto")
     results = {}
     for name, photo in photos.items():
         result = results[name] = predictor(photo)

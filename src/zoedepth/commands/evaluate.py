@@ -139,6 +139,7 @@ def _sources(
     device: str,
 ) -> "dict[str, PredictionSource]":
     """Open everything that is to be scored, by its label."""
+    from zoedepth.commands.progress import download_progress
     from zoedepth.evaluation.predictions import TRIVIAL, FolderSource, ModelSource, trivial_sources
 
     if not (models or predictions or trivial):
@@ -151,7 +152,8 @@ def _sources(
             raise InputError(f"two sources are called {label!r}: name them, LABEL=SOURCE")
     found: dict[str, PredictionSource] = {}
     for label, name in names:
-        found[label] = ModelSource.load(name, compat=compat, device=device)
+        with download_progress() as progress:
+            found[label] = ModelSource.load(name, compat=compat, device=device, progress=progress)
     for label, folder in folders.items():
         found[label] = FolderSource(folder)
     if trivial:

@@ -95,12 +95,14 @@ def predict(
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
 
+    from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
     from zoedepth.weights.load import load_model
 
     workers = min(workers or cpu_count(), len(found.photos))
     with share_cores(workers):
-        network = load_model(model, compat=compat, precision=precision, streams=workers)
+        with download_progress() as progress:
+            network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
         if not network.config.domains:
             wanted = request(relative=True)
         padded = None if pad == "model" else pad == "yes"

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.sample import DepthDataset, Sample
+from zoedepth.download import Progress
 from zoedepth.errors import InputError
 from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
 from zoedepth.evaluation.protocols import Protocol
@@ -66,18 +67,21 @@ class ModelSource:
         self.about = dict(about or {})
 
     @classmethod
-    def load(cls, name: str | Path, *, compat: Sequence[str] = (), device: str = "auto") -> "ModelSource":
+    def load(
+        cls, name: str | Path, *, compat: Sequence[str] = (), device: str = "auto", progress: Progress | None = None
+    ) -> "ModelSource":
         """Load a model, and remember the hash of its weights.
 
         Args:
             name: see ``zoedepth.weights.load.load_model``.
             compat: behaviours of the original code to take over; see there, too.
             device: cpu, cuda, mps, or auto for the best there is.
+            progress: function to call while weights are downloaded; see there, too.
 
         Raises:
             InputError: there is no such model, behaviour or device.
         """
-        model = Predictor(load_model(name, compat=tuple(compat)), device=device).model
+        model = Predictor(load_model(name, compat=tuple(compat), progress=progress), device=device).model
         return cls(model, about={"weights": weights_fingerprint(find(name)), "compat": list(compat)})
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
