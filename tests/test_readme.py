@@ -1,4 +1,4 @@
-"""What the README tells people to type works as it stands."""
+"""The README's commands and programs work as they stand, and the documentation leads to all of its pages."""
 
 import re
 import shlex
@@ -98,3 +98,19 @@ def test_links_lead_somewhere() -> None:
     local = [link for link in links if not link.startswith("http")]
     assert local
     assert [link for link in local if not (ROOT / link).exists()] == []
+
+
+def test_every_page_is_reached_from_the_front_page_and_the_menu() -> None:
+    pages = {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"}
+    front = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    assert {page for page in pages if f"]({page})" not in front} == set()
+    assert {page for page in pages if f": {page}\n" not in menu} == set()
+    assert {page for page in pages if f"(docs/{page})" not in README} == set()
+
+
+def test_what_the_python_page_imports_is_there() -> None:
+    text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    imports = re.findall(r"^(?:from|import) .*", text, flags=re.MULTILINE)
+    assert len(imports) > 10
+    exec("\n".join(imports), {})
