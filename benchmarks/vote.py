@@ -14,8 +14,9 @@ import tyro
 
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
-from zoedepth.evaluation.evaluate import score
+from zoedepth.evaluation.predictions import Prediction
 from zoedepth.evaluation.protocols import PROTOCOLS
+from zoedepth.evaluation.scoring import score
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
@@ -42,9 +43,13 @@ def _scores(network: ZoeDepth, couple: tuple[Sample, Sample]) -> list[tuple[Metr
     predictor = Predictor(network, pad=False, flip_average=False, upsampling="bilinear")
     with torch.inference_mode():
         results = predictor.batch([sample.image for sample in couple])
-    return [
-        (score(result.depth, sample, PROTOCOLS[sample.domain]), result.domain)
+    scores = [
+        score(Prediction(result.depth), sample, PROTOCOLS[sample.domain])
         for result, sample in zip(results, couple, strict=True)
+    ]
+    return [
+        (None if found.sums is None else found.sums.metrics(), result.domain)
+        for found, result in zip(scores, results, strict=True)
     ]
 
 
