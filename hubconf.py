@@ -3,13 +3,13 @@
     model = torch.hub.load("REPO", "ZoeD_NK", pretrained=True)
     depth = model.infer_pil(Image.open("photo.jpg"))  # float32 (height, width), metres
 
-REPO is a checkout of this repository (``source="local"``) or its GitHub name. Nothing else is fetched but the weights.
+REPO is a checkout of this repository (``source="local"``) or its GitHub name. Only the weights are downloaded.
 """
 
 import sys
 from pathlib import Path
 
-dependencies = ["torch", "torchvision", "timm", "numpy", "PIL", "safetensors", "jaxtyping", "rich"]
+dependencies = ["torch", "torchvision", "timm", "numpy", "PIL", "safetensors", "jaxtyping", "filelock"]
 
 try:
     import zoedepth.torchhub as _torchhub
@@ -27,8 +27,8 @@ def ZoeD_N(  # the original's name
     """Indoor: one head, fine-tuned on NYU Depth v2.
 
     Args:
-        pretrained: True for the released weights (1.4 GB, fetched once), a path or url of them, False for random ones.
-        midas_model_type: encoder; released weights are of "DPT_BEiT_L_384".
+        pretrained: True for the released weights (1.4 GB, downloaded once), a path or url, or False for random weights.
+        midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x512.
         compat: behaviours of the original to take over: ("squeeze",), see zoedepth.presets.COMPAT.
     """
@@ -47,11 +47,11 @@ def ZoeD_K(
     config_mode: str = "infer",
     compat: tuple[str, ...] = (),
 ) -> "_torchhub.OriginalInterface":
-    """Driving: one head, fine-tuned on KITTI, to 80 m (the original's entry point stops at 10 m: compat=("10m",)).
+    """Driving: one head, fine-tuned on KITTI, up to 80 m. compat=("10m",) gives the 10 m of the original's entry point.
 
     Args:
-        pretrained: True for the released weights (1.4 GB, fetched once), a path or url of them, False for random ones.
-        midas_model_type: encoder; released weights are of "DPT_BEiT_L_384".
+        pretrained: True for the released weights (1.4 GB, downloaded once), a path or url, or False for random weights.
+        midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x768.
         compat: behaviours of the original to take over: ("10m", "squeeze"), see zoedepth.presets.COMPAT.
     """
@@ -73,8 +73,8 @@ def ZoeD_NK(
     """Indoor and driving: two heads and a router, which gives every photo of a batch its own head.
 
     Args:
-        pretrained: True for the released weights (1.4 GB, fetched once), a path or url of them, False for random ones.
-        midas_model_type: encoder; released weights are of "DPT_BEiT_L_384".
+        pretrained: True for the released weights (1.4 GB, downloaded once), a path or url, or False for random weights.
+        midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x512.
         compat: behaviours of the original to take over: ("batch-vote", "squeeze"), see zoedepth.presets.COMPAT.
     """

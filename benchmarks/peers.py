@@ -1,11 +1,11 @@
-"""The paper's model here and in ``transformers``, with the same random weights: time, memory, and the same depth.
+"""Compare the paper's model here and in ``transformers``, with the same random weights: time, memory and depth.
 
     python -m benchmarks.peers --model zoed-m12-nk --out runs/peers
 
-Every system has a process of its own, and they take turns, one forward each, so that a drift of the machine's speed
-hits all alike. Exported files are written to ``--out`` once. Beside the times: how long the machine would take for the
-multiplications alone (operations counted by torch / rate of a large product measured in the same run, in the precision
-of the row), which is what no implementation of the same arithmetic gets below. Linux only, for the memory. Prints a
+Every system has a process of its own. They take turns, one forward each, so that a drift of the machine's speed hits
+all alike. Exported files are written to ``--out`` once. Beside each time stands its floor, the time that the machine
+needs for the multiplications alone: operations (counted by torch) / rate of a large product (measured in the same run,
+in the precision of the row). No implementation of the same arithmetic is faster. Linux only, for the memory. Prints a
 Markdown table, and draws it to ``--out``/MODEL-BATCH.png.
 """
 
@@ -32,7 +32,7 @@ SYSTEMS = {
     "OpenVINO, bfloat16": "bfloat16",
     "OpenVINO, int8": "int8",
 }
-"""Row of the table → precision whose rate is its floor."""
+"""Row of the table → precision of its floor."""
 
 
 def main(
@@ -49,10 +49,10 @@ def main(
     Args:
         model: a preset with BEiT.
         out: folder for the weights, the exported files and the plot.
-        batch: images a forward.
-        rounds: forwards of each system that count, after one that does not.
-        systems: rows; the first is what the others are compared with. torch.compile is there on request.
-        photos: folder that int8 is calibrated on; None: colours made up.
+        batch: images of a forward.
+        rounds: measured forwards of each system, after one that is not measured.
+        systems: rows; the others are compared with the first. torch.compile runs only if it is named.
+        photos: folder of photos to calibrate int8 on; None: made-up colours.
     """
     out.mkdir(parents=True, exist_ok=True)
     files = prepare(model, out, systems, photos)
@@ -113,7 +113,7 @@ def main(
 
 
 def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None) -> dict[str, Path]:
-    """The weights in the layouts of all, made once."""
+    """Write the weights in the layouts of all systems, once, and return the files."""
     import torch
 
     from zoedepth.build import build_model
@@ -121,7 +121,8 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
     from zoedepth.images import IMAGE_SUFFIXES, write_image
     from zoedepth.presets import PRESETS
     from zoedepth.weights.checkpoint import write_checkpoint
-    from zoedepth.weights.load import checkpoint_of, load_model, save_model
+    from zoedepth.weights.load import load_model
+    from zoedepth.weights.save import checkpoint_of, save_model
 
     files = {
         "weights": out / f"{model}.safetensors",
@@ -153,7 +154,7 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
 
 
 def work(name: str, files: dict[str, Path], batch: int, pipe: Connection) -> None:
-    """One system: load, one forward, then a forward for each message; at the end the depth and the most memory."""
+    """Run one system: load, one forward, then a forward for each message; at the end send depth and peak memory."""
     import torch
 
     pixels = torch.rand(batch, 3, *SIZE, generator=torch.Generator().manual_seed(0))
@@ -197,15 +198,15 @@ def _load(name: str, files: dict[str, Path]) -> Callable[[Any], Any]:
                 return forward(pixels).depth[:, 0].float()
 
         return run_torch
-    from zoedepth.export import load_exported
+    from zoedepth import load_model
 
     key = "onnx" if "ONNX" in name else "int8" if "int8" in name else "openvino"
-    exported = load_exported(files[key], precision="bfloat16" if bfloat16 else "float32")
+    exported = load_model(files[key], precision="bfloat16" if bfloat16 else "float32")
     return lambda pixels: exported(pixels).depth[:, 0]
 
 
 def machine_rates() -> dict[str, float]:
-    """GFLOP/s of large products in each precision with all threads, and GB/s read and written by a copy."""
+    """Measure GFLOP/s of large products in each precision with all threads, and GB/s that a copy reads and writes."""
     import torch
 
     def best(function: Callable[[], object]) -> float:
@@ -221,7 +222,7 @@ def machine_rates() -> dict[str, float]:
     x = torch.randn(n, n)
     rates = {}
     with torch.inference_mode():
-        # Of one product there are several kernels; the best is what the machine can do.
+        # There are several kernels for a product; the best one shows what the machine can do.
         image = x.T.reshape(1, n, 1, n).contiguous(memory_format=torch.channels_last)
         linear, convolution = best(lambda: x @ x), best(lambda: torch.conv2d(image, x[:, :, None, None]))
         rates["float32"] = 2 * n**3 / min(linear, convolution) / 1e9

@@ -20,7 +20,7 @@ from zoedepth.presets import PRESETS
 from zoedepth.sizes import network_size
 from zoedepth.torchhub import OriginalInterface
 from zoedepth.weights.checkpoint import write_checkpoint
-from zoedepth.weights.load import checkpoint_of
+from zoedepth.weights.save import checkpoint_of
 
 REPO = Path(__file__).parents[1]
 ENTRIES = {"ZoeD_N": "zoed-m12-n", "ZoeD_K": "zoed-m12-k", "ZoeD_NK": "zoed-m12-nk"}
@@ -99,9 +99,9 @@ class TestInterface:
     def test_defaults_pad_and_flip(self, model: ZoeDepth):
         x = torch.rand(1, 3, 45, 70, generator=torch.Generator().manual_seed(0))
         interface = OriginalInterface(model)
-        assert torch.equal(interface.infer(x), interface.infer(x, True, True))
-        assert not torch.equal(interface.infer(x), interface.infer(x, True, False))
-        assert not torch.equal(interface.infer(x), interface.infer(x, False, True))
+        torch.testing.assert_close(interface.infer(x), interface.infer(x, True, True))
+        assert not torch.allclose(interface.infer(x), interface.infer(x, True, False))
+        assert not torch.allclose(interface.infer(x), interface.infer(x, False, True))
 
     def test_outputs_of_infer_pil(self, model: ZoeDepth):
         interface, image = OriginalInterface(model), photo()
@@ -113,11 +113,11 @@ class TestInterface:
             np.testing.assert_allclose(depth, interface.infer(pixels)[0, 0].numpy(), rtol=1e-6)
         tensor = interface.infer_pil(image, output_type="tensor")
         assert isinstance(tensor, torch.Tensor)
-        assert np.array_equal(tensor.numpy(), depth)
+        np.testing.assert_allclose(tensor.numpy(), depth, rtol=1e-6)
         picture = interface.infer_pil(image, output_type="pil")
         assert isinstance(picture, Image.Image)
         assert picture.size == image.size
-        assert np.array_equal(np.array(picture), (depth * 256).astype(np.uint16))
+        assert np.abs(np.array(picture).astype(float) - 256 * depth).max() <= 1
         with pytest.raises(InputError, match="output_type"):
             interface.infer_pil(image, output_type="jpeg")
 
@@ -185,13 +185,13 @@ class TestEntries:
             loaded = torch.hub.load(str(REPO), entry, source="local", pretrained=path)
             x = torch.rand(1, 3, 64, 96)
             with torch.no_grad():
-                assert torch.equal(loaded(x)["metric_depth"], model(x).depth)
+                torch.testing.assert_close(loaded(x)["metric_depth"], model(x).depth, rtol=1e-5, atol=1e-5)
 
     def test_weights_of_another_kind_are_refused(self, tiny_presets, tmp_path: Path):
         """A K in the place of N would be 8 times too far."""
         model = random_model(tiny_presets["zoed-m12-k"])
         write_checkpoint(checkpoint_of(model), tmp_path / "k.safetensors", to="zoedepth")
-        with pytest.raises(InputError, match="is no zoed-m12-n"):
+        with pytest.raises(InputError, match="is not a zoed-m12-n"):
             torch.hub.load(str(REPO), "ZoeD_N", source="local", pretrained=str(tmp_path / "k.safetensors"))
 
     def test_weights_from_a_url_are_fetched_once(self, tiny_presets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

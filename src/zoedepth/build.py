@@ -1,6 +1,6 @@
-"""The one way from a configuration to a network."""
+"""Build networks: the one way from a configuration to a model."""
 
-from typing import Any
+from typing import Any, overload
 
 import torch
 
@@ -10,11 +10,19 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 
 
+@overload
+def build_model(config: ModelConfig) -> ZoeDepth: ...
+
+
+@overload
+def build_model(config: AnyModelConfig) -> DepthModel: ...
+
+
 def build_model(config: AnyModelConfig) -> DepthModel:
     """Build the network of a configuration, with random weights, in training mode.
 
     Args:
-        config: of a ZoeDepth or of a baseline, for example ``zoedepth.presets.PRESETS["zoed-m12-nk"]``.
+        config: config of a ZoeDepth or a baseline, for example ``zoedepth.presets.PRESETS["zoed-m12-nk"]``.
 
     Returns:
         The model, its weights in the memory format that convolutions are fastest in.

@@ -1,4 +1,4 @@
-"""The original's way of calling a model, for its ``torch.hub`` users: ``hubconf.py`` is made of this."""
+"""The original's interface to a model, for its ``torch.hub`` users. ``hubconf.py`` builds on it."""
 
 from pathlib import Path
 from typing import Literal
@@ -35,10 +35,10 @@ MIDAS_MODELS = {
 
 
 class OriginalInterface(nn.Module):
-    """A ZoeDepth with the methods, defaults and units of the original's ``depth_model.py``.
+    """ZoeDepth with the methods, defaults and units of the original's ``depth_model.py``.
 
-    What is different: each photo of a batch takes its own head, 16-bit values are clipped and not wrapped, ``forward``
-    returns the relative depth it promises, and the model is in evaluation mode.
+    Four things differ: each photo of a batch takes its own head, 16-bit values are clipped and do not wrap around,
+    ``forward`` returns the relative depth that it promises, and the model is in evaluation mode.
 
     Args:
         model: any ZoeDepth with metric heads; ``.model`` afterwards.
@@ -51,7 +51,7 @@ class OriginalInterface(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the weights are."""
+        """Return the device of the weights."""
         return self.model.device
 
     def forward(
@@ -61,17 +61,17 @@ class OriginalInterface(nn.Module):
         denorm: bool = False,
         return_probs: bool = False,
     ) -> dict[str, Tensor]:
-        """Depth at the network's resolution.
+        """Compute depth at the network's resolution.
 
         Args:
-            x: RGB in [0, 1], of any size: resized here.
+            x: RGB in [0, 1], of any size; it is resized here.
             return_final_centers: add ``bin_centers``, (batch, bins, h, w), metres.
-            denorm: x was normalised with ImageNet's mean and standard deviation: undone first.
+            denorm: undo ImageNet's mean and standard deviation in x first.
             return_probs: add ``probs``, (batch, bins, h, w).
 
         Returns:
             ``metric_depth`` (batch, 1, h, w), metres; ``rel_depth`` (batch, 1, h, w), relative inverse depth;
-            ``domain_logits`` (batch, 2) where there are two heads.
+            ``domain_logits`` (batch, 2) if there are two heads.
         """
         if denorm:
             mean, std = (x.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_STD))
@@ -93,7 +93,7 @@ class OriginalInterface(nn.Module):
     def infer(
         self, x: Float[Tensor, "batch 3 height width"], pad_input: bool = True, with_flip_aug: bool = True
     ) -> Float[Tensor, "batch 1 height width"]:
-        """Depth in metres at the size of ``x``, RGB in [0, 1]; gradients flow.
+        """Compute depth in metres at the size of ``x``, RGB in [0, 1]. Gradients flow.
 
         Args:
             x: photos.
@@ -109,17 +109,17 @@ class OriginalInterface(nn.Module):
         with_flip_aug: bool = True,
         output_type: Literal["numpy", "pil", "tensor"] = "numpy",
     ) -> "np.ndarray | Image.Image | Tensor":
-        """Depth of a PIL image, at its size.
+        """Compute the depth of a PIL image, at its size.
 
         Args:
-            pil_img: of any mode; its EXIF orientation is not applied, as in the original.
+            pil_img: image of any mode; as in the original, its EXIF orientation is not applied.
             pad_input: see ``infer``.
             with_flip_aug: see ``infer``.
             output_type: "numpy" float32 (height, width), metres; "tensor" the same on the CPU; "pil" a 16-bit image of
                 256 levels a metre, 255.996 m at most (the original wraps around there).
 
         Raises:
-            InputError: another output type.
+            InputError: the output type is unknown.
         """
         if output_type not in ("numpy", "pil", "tensor"):
             raise InputError(f"output_type must be 'numpy', 'pil' or 'tensor', got {output_type!r}")
@@ -136,34 +136,37 @@ class OriginalInterface(nn.Module):
 def build(
     preset: str, *, pretrained: bool | str, midas_model_type: str, config_mode: str, compat: tuple[str, ...]
 ) -> OriginalInterface:
-    """A model for ``hubconf.py``, in evaluation mode.
+    """Build or load a model for ``hubconf.py``, in evaluation mode.
 
     Args:
         preset: name in ``presets.PRESETS``.
         pretrained: True for the released weights (fetched once), a path, an http(s) url, or False for random weights.
-            The original's "local::" and "url::" before them are understood.
+            They may begin with the original's "local::" and "url::".
         midas_model_type: encoder, as in the original; the released weights are of "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions; "eval" and "train" squeeze it to the trained size.
         compat: see ``presets.COMPAT``.
 
     Raises:
-        InputError: an unknown name, or weights of another kind of model.
+        InputError: a name is unknown, or the weights belong to another kind of model.
     """
     if config_mode not in ("infer", "eval", "train"):
         raise InputError(f"config_mode must be 'infer', 'eval' or 'train', got {config_mode!r}")
     if midas_model_type not in MIDAS_MODELS:
-        raise InputError(f"midas_model_type {midas_model_type!r} is unknown; there are {sorted(MIDAS_MODELS)}")
+        raise InputError(f"midas_model_type {midas_model_type!r} is unknown: give one of {sorted(MIDAS_MODELS)}")
     if config_mode != "infer":
         compat = (*compat, "squeeze")
     config = with_encoder(PRESETS[preset], MIDAS_MODELS[midas_model_type])
     if not pretrained:
         return OriginalInterface(build_model(with_compat(config, compat)).eval())
     if ENCODERS[MIDAS_MODELS[midas_model_type]] != PRESETS[preset].encoder:
-        raise InputError(f"pretrained weights are of DPT_BEiT_L_384 only, not of {midas_model_type}")
+        raise InputError(
+            f"there are pretrained weights for DPT_BEiT_L_384 only, not for {midas_model_type}: leave pretrained out"
+        )
     model = _load(preset if pretrained is True else pretrained, compat)
     if _kind(model.config) != _kind(config):
         raise InputError(
-            f"{pretrained} is no {preset}: it has {_kind(model.config)}, not {_kind(config)} (domains, kind of centers)"
+            f"{pretrained} is not a {preset}: (domains, kind of centers) are {_kind(model.config)}, not "
+            f"{_kind(config)}. Use the entry point of its kind"
         )
     return OriginalInterface(model)
 
@@ -176,6 +179,6 @@ def _load(source: str, compat: tuple[str, ...]) -> DepthModel:
 
 
 def _kind(config: AnyModelConfig) -> tuple[int, str]:
-    """What tells N, K and NK apart."""
+    """Return what tells N, K and NK apart: the number of domains and the kind of centers."""
     head = config.head if isinstance(config, ModelConfig) else None
     return len(config.domains), head.centers if isinstance(head, AttractorConfig) else "other heads"

@@ -1,6 +1,5 @@
-"""The convert and push commands, and the listing of models."""
+"""The convert and push commands."""
 
-import json
 import os
 import subprocess
 import sys
@@ -52,7 +51,8 @@ class TestConvert:
         assert "attractors.kitti.3._net.2.weight" in state
         x = torch.rand(1, 3, 64, 64)
         with torch.no_grad():
-            assert torch.equal(load_model(tmp_path / "model.pt")(x).depth, load_model(folder)(x).depth)
+            found, expected = load_model(tmp_path / "model.pt")(x).depth, load_model(folder)(x).depth
+        torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-5)
 
     def test_card_has_name_and_licence(self, folder: Path, tmp_path: Path):
         options = ["--to", "huggingface", "--name", "Kitchens", "--licence", "mit"]
@@ -100,17 +100,18 @@ class TestConvert:
 
 class TestPush:
     def test_published_model_is_loaded_by_its_id(self, folder: Path, tmp_path: Path):
-        """In processes of their own, as the hub's address is read when they start."""
-        code = "import sys; from zoedepth.cli import main; sys.exit(main(sys.argv[1:]))"
+        """In a process of its own, because the hub's address is read when it starts."""
+        code = (
+            "import sys; from zoedepth.cli import main\n"
+            "assert main(['push', sys.argv[1], 'me/model', '--to', 'huggingface']) == 0\n"
+            "assert main(['convert', 'me/model', sys.argv[2], '--to', 'zoedepth']) == 0\n"
+        )
         with FakeHub({}) as hub:
             environment = {**os.environ, **hub.environment(tmp_path / "home", token="hf_right")}
-            command = [sys.executable, "-c", code, "push", str(folder), "me/model", "--to", "huggingface"]
+            command = [sys.executable, "-c", code, str(folder), str(tmp_path / "back")]
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             assert done.returncode == 0, done.stderr
             assert "me/model" in done.stdout
-            command = [sys.executable, "-c", code, "convert", "me/model", str(tmp_path / "back"), "--to", "zoedepth"]
-            done = subprocess.run(command, env=environment, capture_output=True, text=True)
-            assert done.returncode == 0, done.stderr
         assert read_checkpoint(tmp_path / "back").config == read_checkpoint(folder).config
 
     def test_dry_run_prints_the_card_and_needs_no_network(self, folder: Path, capsys):
@@ -120,39 +121,3 @@ class TestPush:
     def test_no_id(self, folder: Path, capsys):
         assert main(["push", str(folder), "model"]) == 2
         assert "owner/name" in capsys.readouterr().err
-
-
-class TestModels:
-    @pytest.fixture(autouse=True)
-    def empty_home(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-
-    def test_all_with_licence_source_and_presence(self, tmp_path: Path, capsys):
-        assert main(["models", "--json"]) == 0
-        found = {entry["name"]: entry for entry in map(json.loads, capsys.readouterr().out.splitlines())}
-        assert set(found) == set(RELEASES)
-        assert found["zoed-lite"]["present"]
-        assert not found["zoed-m12-nk"]["present"]
-        assert found["zoed-m12-nk"]["url"].startswith("https://github.com/isl-org/ZoeDepth/releases/")
-        assert found["zoed-m12-nk"]["licence"] == "MIT"
-        path = Path(found["zoed-m12-nk"]["path"])
-        assert path == tmp_path / "hub" / "checkpoints" / "ZoeD_M12_NK.pt"
-        path.parent.mkdir(parents=True)
-        path.touch()
-        assert main(["models", "--json"]) == 0
-        again = {entry["name"]: entry for entry in map(json.loads, capsys.readouterr().out.splitlines())}
-        assert again["zoed-m12-nk"]["present"]
-
-    def test_text(self, capsys):
-        assert main(["models"]) == 0
-        text = capsys.readouterr().out
-        for name, release in RELEASES.items():
-            assert name in text
-            assert release.what in text
-        assert max(map(len, text.splitlines()[:-1])) <= 90, "the last line is a path"
-
-    def test_file_put_there_by_hand_is_loaded_by_its_name(self, folder: Path):
-        path = RELEASES["zoed-m12-nk"].path
-        path.parent.mkdir(parents=True)
-        assert main(["convert", str(folder), str(path), "--to", "original"]) == 0
-        assert load_model("zoed-m12-nk").config.domains[1].name == "outdoor"

@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from tests.baselines.test_every_baseline import build as build_baseline
-from tests.baselines.test_every_baseline import photos
+from tests.baselines import test_adabins, test_newcrfs
+from tests.baselines.base import build as build_baseline
+from tests.baselines.base import photos
 from tests.export.models import HEADS, PAIR, balanced, beit, flat
 from tests.model.test_encoder import TINY_SWIN
 from torch import Tensor, nn
 
 import zoedepth.export.write
 from zoedepth import save_model
-from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
@@ -158,27 +158,6 @@ def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(tiny_config: Mod
     assert sum("ConvolutionBackpropData" in name for name in found[True]) == 2
 
 
-def test_the_command_line_writes_and_reads_exported_files(tmp_path: Path, capsys: pytest.CaptureFixture):
-    """In float32 for ONNX Runtime, and in 8 bits, calibrated on two photos, for OpenVINO."""
-    generator = np.random.default_rng(0)
-    (tmp_path / "photos").mkdir()
-    for name in ("photo.png", "other.png"):
-        coarse = generator.integers(0, 256, (6, 8, 3), dtype=np.uint8)
-        Image.fromarray(coarse).resize((352, 256)).save(tmp_path / "photos" / name)
-    int8 = ["--int8", "--calibrate", str(tmp_path / "photos")]
-    photo, depth = str(tmp_path / "photos/photo.png"), {}
-    for to, name, options in (("onnx", "lite.onnx", []), ("openvino", "lite.xml", int8), ("torch", "zoed-lite", [])):
-        file = str(tmp_path / name) if to != "torch" else name
-        if to != "torch":
-            assert main(["export", "zoed-lite", "--to", to, "--out", file, *options]) == 0
-            assert capsys.readouterr().out.splitlines()[-1] == file
-        assert main(["predict", photo, "--out", str(tmp_path / to), "--model", file, "--no-flip"]) == 0
-        depth[to] = np.asarray(Image.open(tmp_path / to / "photo_depth.png")).astype(int)
-    assert (tmp_path / "lite.xml").read_text().count('type="FakeQuantize"') > 50
-    assert np.abs(depth["onnx"] - depth["torch"]).max() <= 1
-    assert 0 < (np.abs(depth["openvino"] - depth["torch"]) / depth["torch"]).mean() < 0.1
-
-
 class Together(nn.Module):
     """Models with different heads on the same encoder and decoder: one export for all of them."""
 
@@ -269,14 +248,14 @@ def test_openvino_compiles_for_the_first_shape_and_once_more_for_all_others(expo
 
 def test_what_cannot_be_traced_is_said(tmp_path: Path):
     with pytest.raises(InputError, match="torch-export only"):
-        export_model(build_baseline("newcrfs"), tmp_path / "model.xml", to="openvino")
+        export_model(build_baseline(test_newcrfs.TINY), tmp_path / "model.xml", to="openvino")
     with pytest.raises(ExportError, match="torch-export only"):
-        export_model(build_baseline("adabins"), tmp_path / "model.onnx", to="onnx")
+        export_model(build_baseline(test_adabins.TINY), tmp_path / "model.onnx", to="onnx")
     assert list(tmp_path.iterdir()) == []
-    wrapped = ExportModel(build_baseline("adabins")).eval()
-    program = torch.export.export(wrapped, (photos("adabins"),), strict=False).module()
+    wrapped = ExportModel(build_baseline(test_adabins.TINY)).eval()
+    program = torch.export.export(wrapped, (photos(test_adabins.TINY),), strict=False).module()
     with torch.no_grad():
-        assert torch.allclose(program(photos("adabins"))[0], wrapped(photos("adabins"))[0], rtol=1e-4)
+        assert torch.allclose(program(photos(test_adabins.TINY))[0], wrapped(photos(test_adabins.TINY))[0], rtol=1e-4)
 
 
 def test_wrong_wishes_are_refused(tiny_config: ModelConfig, tmp_path: Path):

@@ -18,7 +18,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights.checkpoint import LAYOUTS, Checkpoint, Layout, read_checkpoint, write_checkpoint
-from zoedepth.weights.layouts import huggingface, original
+from zoedepth.weights.layouts import huggingface_config, original
 from zoedepth.weights.load import checkpoint_of, load_model, model_of
 
 KINDS = pytest.mark.parametrize("kind", TINY)
@@ -348,7 +348,7 @@ def test_folder_of_theirs_has_the_config_of_their_processor_too(tmp_path: Path):
     folder = write(tmp_path, "huggingface")
     names = {"README.md", "config.json", "model.safetensors", "preprocessor_config.json"}
     assert {path.name for path in folder.iterdir()} == names
-    assert json.loads((folder / "config.json").read_text()) == huggingface.config_json(tiny().config, tiny().weights)
+    assert json.loads((folder / "config.json").read_text()) == huggingface_config.to_json(tiny().config, tiny().weights)
     assert texts_of(folder / "model.safetensors") == {"format": "pt"}
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.baselines.test_every_baseline import build as build_baseline
+from tests.baselines import test_pixelbins
+from tests.baselines.base import build as build_baseline
 from tests.servers import FileServer
 
 import zoedepth
@@ -103,7 +104,7 @@ def test_from_pretrained_loads_a_zoedepth(file: Path, tiny_model: ZoeDepth):
 
 
 def test_from_pretrained_refuses_a_baseline(tmp_path: Path):
-    save_model(build_baseline("pixelbins"), tmp_path / "bins.safetensors")
+    save_model(build_baseline(test_pixelbins.TINY), tmp_path / "bins.safetensors")
     with pytest.raises(InputError, match=r"bins.safetensors is one of the baselines.*zoedepth.load_model"):
         ZoeDepth.from_pretrained(tmp_path / "bins.safetensors")
 

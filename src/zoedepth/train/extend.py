@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 from torch import nn
 
+from zoedepth.build import build_model
 from zoedepth.config import Domain, ModelConfig
 from zoedepth.model.router import LabeledRouter
 from zoedepth.model.zoedepth import ZoeDepth
@@ -39,7 +40,7 @@ def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
     router's last layer. Of two equal scores the first wins, so the model predicts what it did before until training
     tells the two domains apart.
     """
-    new = ZoeDepth(config).eval()
+    new = build_model(config).eval()
     new.encoder.load_state_dict(model.encoder.state_dict())
     new.decoder.load_state_dict(model.decoder.state_dict())
     new.shared.load_state_dict(model.shared.state_dict())

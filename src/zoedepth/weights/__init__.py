@@ -1,1 +1,1 @@
-"""Where models come from: by name, file or Hugging Face id, in any layout that is known."""
+"""Find, read, write and publish models: by name, file or Hugging Face id, in every known layout."""

@@ -17,7 +17,17 @@ from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.stored import parse_json, read_json
 from zoedepth.weights.card import model_card
-from zoedepth.weights.layouts import adabins, bts, huggingface, localbins, midas, newcrfs, original, pixelbins
+from zoedepth.weights.layouts import (
+    adabins,
+    bts,
+    huggingface,
+    huggingface_config,
+    localbins,
+    midas,
+    newcrfs,
+    original,
+    pixelbins,
+)
 from zoedepth.weights.layouts.files import read_tensors
 from zoedepth.weights.layouts.keys import Table, shown
 
@@ -166,8 +176,8 @@ def write_checkpoint(
         model = _zoedepth(config, to)
         theirs = huggingface.write(model, weights)
         texts = {
-            CONFIG: huggingface.config_json(model, weights),
-            PREPROCESSOR: huggingface.preprocessor_json(model),
+            CONFIG: huggingface_config.to_json(model, weights),
+            PREPROCESSOR: huggingface_config.preprocessor_json(model),
         }
     else:
         theirs, texts = weights, {CONFIG: {"library_name": "zoedepth", "zoedepth": to_dict(config)}}

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import torch
 
-from zoedepth.model.zoedepth import ZoeDepth
-
 KEYS = Path(__file__).parent / "keys"
 
 
@@ -58,33 +56,6 @@ def load(path: str) -> dict:
         "config": repr(model.config),
         "depth": [float(output.depth.min()), float(output.depth.max())],
         "finite": bool(output.depth.isfinite().all()),
-        "routed": _route(model) if len(model.config.domains) > 1 else None,
-    }
-
-
-def _route(model: ZoeDepth) -> dict:
-    """Images routed to different heads, in one batch and alone; and by the released code's vote."""
-    generator = torch.Generator().manual_seed(0)
-    pixels = torch.rand(3, 3, 64, 96, generator=generator) * torch.tensor([1.0, 0.1, 0.5])[:, None, None, None]
-    with torch.no_grad():
-        logits = torch.cat([model(one[None]).domain_logits for one in pixels])
-        # Random weights prefer one head whatever the image: shift the scores so that these images differ.
-        gap = (logits[:, 1] - logits[:, 0]).sort().values
-        model.router.classifier.mlp[2].bias[0] += (gap[0] + gap[1]) / 2
-        together = model(pixels)
-        alone = [model(one[None]) for one in pixels]
-        model.router.by_batch = True
-        voted = model(pixels)
-        total = together.domain_logits.sum(dim=0)
-        chosen = model(pixels, domain=torch.full((3,), int(total.argmax())))
-    difference = (together.depth - torch.cat([one.depth for one in alone])).abs().max()
-    return {
-        "domains": together.domain.tolist(),
-        "domains_alone": [int(one.domain) for one in alone],
-        "difference": float(difference),
-        "voted": voted.domain.tolist(),
-        "vote": int(total.argmax()),
-        "voted_difference": float((voted.depth - chosen.depth).abs().max()),
     }
 
 
@@ -102,23 +73,6 @@ def compare(one: str, other: str) -> dict:
     }
 
 
-def transformers(folder: str) -> dict:
-    """Load a folder in transformers, and compare its depth with ours."""
-    from transformers import ZoeDepthForDepthEstimation
-
-    from zoedepth.weights.load import load_model
-
-    theirs, report = ZoeDepthForDepthEstimation.from_pretrained(folder, output_loading_info=True)
-    model = load_model(folder)
-    pixels = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
-    with torch.no_grad():
-        expected, found = theirs.eval()(2 * pixels - 1).predicted_depth, model(pixels).depth[:, 0]
-    return {
-        "report": {name: sorted(map(str, values)) for name, values in report.items() if values},
-        "relative_difference": float(((found - expected) / expected).abs().max()),
-    }
-
-
 def _import_timm() -> None:
     """Import what building a model imports, so that its memory does not count as the weights'."""
     import timm
@@ -133,5 +87,5 @@ def _peak() -> int:
 
 
 if __name__ == "__main__":
-    steps = {step.__name__: step for step in (write, load, compare, transformers)}
+    steps = {step.__name__: step for step in (write, load, compare)}
     print(json.dumps(steps[sys.argv[1]](*sys.argv[2:])))

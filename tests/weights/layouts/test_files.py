@@ -98,12 +98,13 @@ def test_parameters_come_out_as_plain_tensors(tmp_path: Path):
     assert [(type(value), value.requires_grad) for value in weights.values()] == [(Tensor, False)] * 2
 
 
-def test_numbers_and_arrays_of_numpy_beside_the_weights_are_left_alone(tmp_path: Path):
+def test_numbers_arrays_and_bytes_beside_the_weights_are_left_alone(tmp_path: Path):
     """NeWCRFs keeps its best scores so. Of an array that claims any size, nothing is made."""
     beside = {
         "steps": np.zeros(9, dtype=np.int32),
         "best": np.float64(0.1),
         "names": np.array(["a", None], dtype=object),
+        "bytes": [b"\x00\xff", bytearray(b"\x00\xff")],
     }
     torch.save({"model": WEIGHTS, "huge": _Huge(), **beside}, tmp_path / "model.ckpt")
     weights, _ = read_tensors(tmp_path / "model.ckpt")

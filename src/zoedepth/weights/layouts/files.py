@@ -103,10 +103,13 @@ setattr(_Rehearsal, "dispatch", {**_Rehearsal.dispatch, pickle.EMPTY_SET[0]: _re
 
 
 class _Allocation(_Placeholder):
-    """Stand-in for the types that allocate as much as they are told to. Sound files only name them."""
+    """Stand-in for the types that allocate as much as they are told to. Sound files name them, or give a text."""
 
-    def __init__(self, *_: object) -> None:
-        raise ValueError("it would allocate memory that is not in the file")
+    def __new__(cls, *arguments: object) -> "_Allocation":
+        """Refuse to be made of a size."""
+        if arguments and not isinstance(arguments[0], str):
+            raise ValueError("it would allocate memory that is not in the file")
+        return super().__new__(cls)
 
 
 def _check_encode(text: str, encoding: str) -> _Placeholder:

@@ -1,21 +1,16 @@
-"""Hugging Face ``transformers`` ZoeDepth (Intel/zoedepth-{nyu,kitti,nyu-kitti}): weights and config, both ways."""
+"""Hugging Face ``transformers`` ZoeDepth (Intel/zoedepth-{nyu,kitti,nyu-kitti}): its weights, both ways."""
 
-import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from zoedepth.config import INDOOR, AttractorConfig, Domain, ModelConfig
+from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.presets import PRESETS
+from zoedepth.weights.layouts import huggingface_config as settings
 from zoedepth.weights.layouts import original, shapes
 from zoedepth.weights.layouts.keys import Row, Table
-
-LAYER_NORM_EPS = 1e-6
-"""LayerNorm eps that BEiT was trained with. The published folders do not say it; transformers then takes 1e-12."""
 
 
 def _encoder_rows(layout: int) -> list[Row]:
@@ -140,145 +135,11 @@ def read(
         ours = names.to_ours(weights)
         with shapes.errors_named(names):
             return original.config_of(ours), ours, names
-    bins = _bins(config)
+    bins = settings.heads_in(config)
     names = table(tuple(str(entry.get("name", "nyu")) for entry in bins), layout=layout)
     ours = names.to_ours(weights)
     with shapes.errors_named(names):
-        return _config(config, ours, bins=bins, size=_size(preprocessor)), ours, names
-
-
-def _bins(config: Mapping[str, Any]) -> list[dict[str, Any]]:
-    bins = config.get("bin_configurations") or [{"n_bins": 64, "min_depth": 1e-3, "max_depth": 10.0}]
-    if not isinstance(bins, list) or not all(isinstance(entry, dict) for entry in bins):
-        raise InputError("bin_configurations in config.json must be a list of objects")
-    if len(bins) > 1 and not all(isinstance(entry.get("name"), str) for entry in bins):
-        raise InputError("bin_configurations in config.json must name every head")
-    if len(bins) > 2:
-        raise InputError(f"bin_configurations in config.json has {len(bins)} heads; transformers routes between two")
-    return bins
-
-
-def _config(
-    config: Mapping[str, Any],
-    weights: Mapping[str, Tensor],
-    *,
-    bins: list[dict[str, Any]],
-    size: tuple[int, int] | None,
-) -> ModelConfig:
-    """Return our config. Whatever shapes tell is read from them; strict loading compares all of them later."""
-    backbone = config.get("backbone_config") or {}
-    if not isinstance(backbone, dict):
-        raise InputError("backbone_config in config.json must be an object")
-    _refuse_other_structure(config, backbone)
-    centers = config.get("bin_centers_type", "softplus")
-    if centers not in ("softplus", "normed"):
-        raise InputError(f"bin_centers_type {centers!r} in config.json: transformers has softplus and normed only")
-    head = shapes.head(
-        weights,
-        centers=centers,
-        reduce=str(config.get("attractor_kind", "mean")),
-        min_temperature=_number(config, "min_temp", 0.0212),
-        max_temperature=_number(config, "max_temp", 50.0),
-    )
-    heads = config.get("patch_transformer_num_attention_heads")
-    model = shapes.model(
-        weights,
-        head=head,
-        domains=tuple(_domain(entry) for entry in bins),
-        size=size or PRESETS["zoed-m12-n"].size,
-        encoder=shapes.beit(weights, native=_native(backbone), taps=_taps(backbone)),
-        attention_heads=heads if isinstance(heads, int) else 4,
-    )
-    return _as_released(model, size=size)
-
-
-def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
-    """Give the published ZoeD-K the range that it was trained at, and the input size if no file says another.
-
-    Its published config.json says 10 m, the default of the original's code, which makes every depth 8 times too small.
-    A model of exactly these sizes is the published one: transformers cannot train ZoeDepth.
-    """
-    released = PRESETS["zoed-m12-k"]
-    if replace(model, domains=released.domains, size=released.size) != released:
-        return model
-    if model.domains[0].max_depth == 10.0:
-        warnings.warn(
-            "config.json says that this ZoeD-K reaches 10 m; it was trained to 80 m, and that is used: a depth d of "
-            "transformers becomes (d - 0.001) * 79.999 / 9.999 + 0.001. For the range of 10 m give compat=['10m']",
-            stacklevel=2,
-        )
-        model = replace(model, domains=released.domains)
-    return replace(model, size=size or released.size)
-
-
-def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, Any]) -> None:
-    """Refuse values that change the network without changing any shape."""
-    known = {
-        "readout_type": (config, "project"),
-        "reassemble_factors": (config, [4, 2, 1, 0.5]),
-        "use_batch_norm_in_fusion_residual": (config, False),
-        "add_projection": (config, False),
-        "head_in_index": (config, -1),
-        "hidden_act": (backbone, "gelu"),
-        "patch_size": (backbone, 16),
-        "use_absolute_position_embeddings": (backbone, False),
-        "use_shared_relative_position_bias": (backbone, False),
-    }
-    for name, (values, expected) in known.items():
-        found = values.get(name, expected)
-        if (list(found) if isinstance(found, tuple) else found) != expected:
-            raise InputError(f"{name} in config.json is {found!r}, but only {expected!r} can be loaded")
-    if backbone.get("model_type", "beit") != "beit":
-        raise InputError(f"the backbone in config.json is {backbone['model_type']!r}, but only 'beit' can be loaded")
-
-
-def _number(config: Mapping[str, Any], name: str, default: float) -> float:
-    value = config.get(name, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"{name} in config.json must be a number, not {value!r}")
-    return float(value)
-
-
-def _domain(entry: Mapping[str, Any]) -> Domain:
-    names = {theirs: ours for ours, theirs in original.DOMAINS.items()}
-    name = str(entry.get("name", "nyu"))
-    return Domain(
-        names.get(name, name),
-        _number(entry, "min_depth", INDOOR.min_depth),
-        _number(entry, "max_depth", INDOOR.max_depth),
-    )
-
-
-def _native(backbone: Mapping[str, Any]) -> tuple[int, int]:
-    side = backbone.get("image_size", 384)
-    if isinstance(side, int):
-        return side, side
-    if not isinstance(side, list | tuple) or len(side) != 2 or not all(isinstance(n, int) for n in side):
-        raise InputError(f"image_size of the backbone in config.json must be one or two integers, not {side!r}")
-    # transformers, like MiDaS, reads the position table of a (height, width) picture as one of (width, height). For the
-    # square released models it makes no difference. The swap here gives the same numbers for all others.
-    return side[1], side[0]
-
-
-def _taps(backbone: Mapping[str, Any]) -> tuple[int, ...] | None:
-    """Return the blocks whose outputs are used: "stage6" is the output of the sixth block, index 5."""
-    stages = backbone.get("out_features")
-    numbers = backbone.get("out_indices")
-    if isinstance(stages, list) and all(isinstance(s, str) and s[5:].isdecimal() for s in stages):
-        numbers = [int(stage[5:]) for stage in stages]
-    if numbers is None:
-        return None
-    if not isinstance(numbers, list) or len(numbers) != 4 or not all(isinstance(n, int) for n in numbers):
-        raise InputError(f"the backbone in config.json must give four stages, not {numbers!r}")
-    return tuple(number - 1 for number in numbers)
-
-
-def _size(preprocessor: Mapping[str, Any] | None) -> tuple[int, int] | None:
-    size = (preprocessor or {}).get("size")
-    if not isinstance(size, dict):
-        return None
-    height, width = size.get("height"), size.get("width")
-    return (height, width) if isinstance(height, int) and isinstance(width, int) else None
+        return settings.read(config, ours, heads=bins, size=settings.size_in(preprocessor)), ours, names
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------
@@ -300,85 +161,3 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
         unit = f"neck.fusion_stage.layers.0.residual_layer1.{conv}"
         theirs[f"{unit}.weight"], theirs[f"{unit}.bias"] = torch.zeros(width, width, 3, 3), torch.zeros(width)
     return theirs
-
-
-def config_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any]:
-    """Return the config.json that belongs to ``write``, given the weights under our names."""
-    encoder, head = config.encoder, shapes.attractors(config)
-    heads = weights["encoder.network.position_tables.0"].shape[1]
-    n_blocks = sum(name.startswith("encoder.network.position_tables.") for name in weights)
-    hidden, width = weights["encoder.network.blocks.0.mlp.fc1.weight"].shape
-    height, side = encoder.size[1], encoder.size[0]  # see _native
-    values: dict[str, Any] = {
-        "architectures": ["ZoeDepthForDepthEstimation"],
-        "model_type": "zoedepth",
-        "backbone_config": {
-            "model_type": "beit",
-            "image_size": side if height == side else [height, side],
-            "patch_size": 16,
-            "hidden_size": width,
-            "intermediate_size": hidden,
-            "num_hidden_layers": n_blocks,
-            "num_attention_heads": heads,
-            "layer_norm_eps": LAYER_NORM_EPS,
-            "use_relative_position_bias": True,
-            "reshape_hidden_states": False,
-            "out_features": [f"stage{tap + 1}" for tap in encoder.taps],
-        },
-        "neck_hidden_sizes": list(encoder.channels),
-        "fusion_hidden_size": config.decoder.widths[0],
-        "bottleneck_features": config.decoder.widths[3],
-        "num_relative_features": config.decoder.features,
-        "readout_type": "project",
-        "reassemble_factors": [4, 2, 1, 0.5],
-        "bin_configurations": [
-            {
-                "name": original.DOMAINS.get(domain.name, domain.name),
-                "n_bins": head.n_bins,
-                "min_depth": domain.min_depth,
-                "max_depth": domain.max_depth,
-            }
-            for domain in config.domains
-        ],
-        "torch_dtype": "float32",
-    }
-    values |= _head_json(head)
-    if len(config.domains) > 1:
-        values |= {
-            "num_patch_transformer_layers": 4,
-            "patch_transformer_hidden_size": config.router.width,
-            "patch_transformer_intermediate_size": config.router.feedforward_width,
-            "patch_transformer_num_attention_heads": config.router.attention_heads,
-        }
-    return values
-
-
-def _head_json(head: AttractorConfig) -> dict[str, Any]:
-    return {
-        "bin_embedding_dim": head.embedding_width,
-        "bin_centers_type": head.centers,
-        "num_attractors": list(head.n_attractors),
-        "attractor_kind": head.reduce,
-        "attractor_alpha": 1000,  # as published; transformers, like the original, always uses 300
-        "attractor_gamma": 2,
-        "min_temp": head.min_temperature,
-        "max_temp": head.max_temperature,
-    }
-
-
-def preprocessor_json(config: ModelConfig) -> dict[str, Any]:
-    """Return preprocessor_config.json: the padding, resizing and normalisation of the original."""
-    return {
-        "image_processor_type": "ZoeDepthImageProcessor",
-        "do_pad": True,
-        "do_rescale": True,
-        "rescale_factor": 1 / 255,
-        "do_resize": True,
-        "size": {"height": config.size[0], "width": config.size[1]},
-        "keep_aspect_ratio": config.keep_aspect_ratio,
-        "ensure_multiple_of": config.multiple,
-        "resample": 2,  # bilinear
-        "do_normalize": True,
-        "image_mean": [0.5, 0.5, 0.5],
-        "image_std": [0.5, 0.5, 0.5],
-    }
