@@ -1,14 +1,14 @@
-"""Samples out of shards, in any order, with one read each."""
+"""Read samples from shards, in any order, with one read each."""
 
 import hashlib
 import os
 import tempfile
-from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import replace
-from io import FileIO
+from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import IO
 from urllib.parse import quote, urljoin
 
 import numpy as np
@@ -26,36 +26,36 @@ from zoedepth.shards.members import MAX_JSON, find_roles, unpack
 from zoedepth.stored import Memory, parse_json, read_mask, read_stored
 
 WINDOW = 4
-"""Shards among which a shuffled order mixes their samples."""
+"""The number of shards whose samples a shuffled order mixes."""
 
 _MAX_OPEN = 64
 
 
 def cache_folder() -> Path:
-    """Where shards from the web are kept."""
+    """Return the folder where shards from the web are kept."""
     return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "zoedepth" / "shards"
 
 
 def find_shards(folder: Path) -> list[Path]:
-    """The tar files of a folder, sorted."""
+    """Find the tar files of a folder, sorted."""
     return sorted(path for path in folder.glob("*.tar") if not path.name.startswith("."))
 
 
 class ShardDataset(Dataset[Sample]):
     """The samples of shards, by number. It may be copied to any number of worker processes.
 
-    From the web, a shard is downloaded whole when its first sample is asked for, and kept: training over more than the
-    disk holds is not for this class. An ``index.json`` from the web also says what the shards must hash to.
+    A shard from the web is downloaded whole when its first sample is asked for, and kept, so the disk must have room
+    for all of them. An ``index.json`` from the web also says the hash that each shard must have.
 
     Args:
-        path: a folder with ``index.json`` or with tar files; an ``index.json``; a .tar; or the address of one of the
-            latter two. Without an index the headers are read once, which takes a second for some 10,000 samples.
+        path: a folder with ``index.json`` or with tar files, an ``index.json``, a .tar, or the address of one of the
+            last two. Without an index the headers are read once, which takes a second for some 10,000 samples.
         depth_scale: the stored value of one metre, for samples of which nobody says it.
-        domain: for samples of which nobody says it.
-        cache: where shards from the web are kept; None: ``cache_folder``.
+        domain: scene type, for samples of which nobody says it.
+        cache: the folder where shards from the web are kept; None takes ``cache_folder``.
 
     Raises:
-        InputError: there are no shards, they are unfinished, damaged, or have samples that are none.
+        InputError: there are no shards, or they are unfinished or damaged, or a sample lacks its photo or its depth.
     """
 
     def __init__(
@@ -83,24 +83,24 @@ class ShardDataset(Dataset[Sample]):
         file = path / INDEX_FILE if path.is_dir() and (path / INDEX_FILE).is_file() else path
         if file.is_dir() or file.suffix == ".tar":
             if not (shards := find_shards(file) if file.is_dir() else [file]):
-                raise InputError(f"{path} has no shards: neither {INDEX_FILE} nor .tar files")
+                raise InputError(f"{path} has no shards: it needs {INDEX_FILE} or .tar files")
             self.index = scan(shards, self._defaults)
             return
         self.index = _usable(read_index(file), file)
         for shard in self.index.shards:
             found = self._folder / shard.name
             if not found.is_file():
-                raise InputError(f"{file} lists {shard.name}, which is not beside it")
+                raise InputError(f"{file} lists {shard.name}, which is not beside it: copy it there")
             if found.stat().st_size < shard.offsets[-1]:
                 raise InputError(f"{found} is cut short: copy it again")
 
     def _open_url(self, url: str, cache: Path) -> None:
         if url.endswith(".tar"):
-            # A shard without an index: its address is all there is to tell it from others.
+            # Nothing but its address tells a shard without an index from others.
             self._folder = cache / hashlib.sha256(url.encode()).hexdigest()[:16]
             self.index = scan([download(url, self._folder / "shard.tar")], self._defaults)
             return
-        with tempfile.TemporaryDirectory() as folder:  # always asked for anew: the shards may have changed
+        with tempfile.TemporaryDirectory() as folder:  # asked for anew every time, because the shards may have changed
             file = download(url, Path(folder) / INDEX_FILE)
             self.index = _usable(read_index(file), url)
             content = file.read_bytes()
@@ -124,7 +124,7 @@ class ShardDataset(Dataset[Sample]):
         begin, end = (int(offset) for offset in shard.offsets[place : place + 2])
         block = self._files.read(path, begin, end - begin)
         if len(block) != end - begin:
-            raise InputError(f"{where}: the shard is cut short")
+            raise InputError(f"{where}: the shard is cut short, copy it again")
         members = unpack(block, where)
         roles = find_roles(members, where)
         about = parse_json(members.get("json", b"{}"), where, max_bytes=MAX_JSON)
@@ -144,9 +144,9 @@ class ShardDataset(Dataset[Sample]):
         )
 
     def order(self, rng: np.random.Generator) -> Int64[np.ndarray, " samples"]:
-        """The numbers of all samples, shuffled so that reading in this order goes through few shards at a time.
+        """Shuffle the numbers of all samples so that reading in this order goes through few shards at a time.
 
-        The shards are shuffled, then the samples of each ``WINDOW`` of them together.
+        The shards are shuffled, then the samples of every ``WINDOW`` shards together.
         """
         shards = rng.permutation(len(self.index.shards))
         windows = [shards[first : first + WINDOW] for first in range(0, len(shards), WINDOW)]
@@ -172,34 +172,28 @@ class ShardDataset(Dataset[Sample]):
 
 
 class _Files:
-    """Reads pieces of files, which it keeps open: in each process its own, for a fork shares positions."""
+    """Files that stay open while pieces of them are read. It may be copied to other processes, which open their own."""
 
     def __init__(self) -> None:
-        self._process = os.getpid()
-        self._lock = Lock()
-        self._open: OrderedDict[Path, FileIO] = OrderedDict()
+        self._opened = lru_cache(_MAX_OPEN)(_open)
 
     def __reduce__(self) -> tuple[type["_Files"], tuple[()]]:
         return type(self), ()  # open files are not sent to other processes
 
     def read(self, path: Path, offset: int, size: int) -> bytes:
-        """At most ``size`` bytes from ``offset`` on."""
-        if self._process != os.getpid():
-            self.__init__()
+        """Read at most ``size`` bytes from ``offset`` on."""
         try:
-            with self._lock:
-                file = self._open.pop(path, None) or FileIO(str(path))
-                self._open[path] = file  # the last one is the most recently used
-                if len(self._open) > _MAX_OPEN:
-                    self._open.popitem(last=False)[1].close()
+            file, lock = self._opened(path, os.getpid())
+            with lock:
                 file.seek(offset)
-                pieces = []
-                while size and (piece := file.read(size)):
-                    pieces.append(piece)
-                    size -= len(piece)
-                return b"".join(pieces)
+                return file.read(size)
         except OSError as error:
-            raise InputError(f"cannot read {path} ({error.strerror})") from error
+            raise InputError(f"cannot read {path} ({error.strerror}): check the path and the disk") from error
+
+
+def _open(path: Path, process: int) -> tuple[IO[bytes], Lock]:
+    """Open a file for one process: a fork shares positions, and its locks may never be released."""
+    return path.open("rb"), Lock()
 
 
 def _member(members: dict[str, bytes], extension: str, where: str) -> Memory:
@@ -208,7 +202,7 @@ def _member(members: dict[str, bytes], extension: str, where: str) -> Memory:
 
 def _usable(index: Index, where: object) -> Index:
     if not index.complete:
-        raise InputError(f"{where} is unfinished: type the command `zoedepth data shard` again, and it goes on")
+        raise InputError(f"{where} is unfinished: type the command `zoedepth data shard` again to finish it")
     if not index.shards:
-        raise InputError(f"{where} lists no shards")
+        raise InputError(f"{where} lists no shards: make them again with `zoedepth data shard`")
     return index

@@ -1,4 +1,4 @@
-"""Where each sample begins in its shard: as ``index.json`` says, or found by reading the headers once."""
+"""The index of shards: where each sample begins, from ``index.json`` or by reading the headers once."""
 
 import json
 import re
@@ -6,7 +6,7 @@ import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import numpy as np
 from jaxtyping import Int64
@@ -14,7 +14,7 @@ from jaxtyping import Int64
 from zoedepth.data.facts import Facts, parse_facts
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
-from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, split_name
+from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, open_tar, split_name
 from zoedepth.stored import parse_json
 
 INDEX_FILE = "index.json"
@@ -29,11 +29,11 @@ class Shard:
     """One tar file."""
 
     name: str
-    """Of the file, in the folder of the index."""
+    """Name of the file in the folder of the index."""
     offsets: Int64[np.ndarray, " samples+1"]
-    """The byte at which each sample begins; the last is where the last one ends."""
+    """The byte at which each sample begins; the last number is where the last sample ends."""
     sha256: str | None = None
-    """Of the whole file, where it is known."""
+    """SHA-256 of the whole file, where it is known."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -41,18 +41,18 @@ class Shard:
 
 @dataclass(frozen=True)
 class Index:
-    """What is known of shards without opening them."""
+    """The facts about shards that are known without opening them."""
 
     shards: Sequence[Shard]
     domains: Sequence[str]
     kinds: Sequence[Target]
     complete: bool = True
-    """Whether all shards are written."""
+    """True if all shards are written."""
     settings: Mapping[str, object] = field(default_factory=dict)
-    """Of the writer: what an interrupted writing must have in common with the one that goes on."""
+    """The writer's settings, which must be the same to go on after an interruption."""
 
     def to_json(self) -> str:
-        """The text of ``index.json``."""
+        """Return the text of ``index.json``."""
         shards = [
             {"name": shard.name, "samples": len(shard), "sha256": shard.sha256, "offsets": shard.offsets.tolist()}
             for shard in self.shards
@@ -70,12 +70,12 @@ class Index:
 
     @classmethod
     def from_json(cls, content: bytes, where: str) -> "Index":
-        """The inverse of ``to_json``.
+        """Make an index of the text that ``to_json`` returned.
 
         Raises:
-            InputError: this is no index, or it contradicts itself.
+            InputError: the text is not an index, or contradicts itself.
         """
-        record = cast(dict[str, Any], parse_json(content, where, max_bytes=_MAX_INDEX))
+        record = parse_json(content, where, max_bytes=_MAX_INDEX)
         if record.get("format") != _FORMAT:
             raise InputError(f"{where} is no index of shards: its format is {record.get('format')!r}, not {_FORMAT!r}")
         try:
@@ -84,14 +84,14 @@ class Index:
             kinds: list[Target] = [kind for kind in ("depth", "disparity") if kind in record["kinds"]]
             return cls(shards, domains, kinds, record["complete"] is True, dict(record["settings"]))
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
-            raise InputError(f"{where} is damaged ({error!r})") from error
+            raise InputError(f"{where} is damaged, copy it again ({error!r})") from error
 
 
 def read_index(path: Path) -> Index:
-    """The index in a file.
+    """Read the index in a file.
 
     Raises:
-        InputError: it cannot be read, or is damaged.
+        InputError: the file cannot be read, or is damaged.
     """
     try:
         with path.open("rb") as file:
@@ -101,14 +101,14 @@ def read_index(path: Path) -> Index:
 
 
 def scan(paths: Sequence[Path], defaults: Facts) -> Index:
-    """The index of shards that anybody wrote, from their headers and the JSON of each sample.
+    """Make the index of shards that anybody wrote, from their headers and the JSON of each sample.
 
     Args:
         paths: tar files, not compressed.
-        defaults: for samples of which nothing is said.
+        defaults: what holds for samples that do not say it themselves.
 
     Raises:
-        InputError: no tar file, damaged, or a sample without photo, depth or domain.
+        InputError: a file is damaged or no tar file, or a sample has no photo, depth or domain.
     """
     shards: list[Shard] = []
     domains: set[str] = set()
@@ -116,7 +116,7 @@ def scan(paths: Sequence[Path], defaults: Facts) -> Index:
     for path in paths:
         groups = list(_groups(path))
         if not groups:
-            raise InputError(f"{path} has no samples: members are called KEY.jpg, KEY.depth.png, KEY.json")
+            raise InputError(f"{path} has no samples: name the members KEY.jpg, KEY.depth.png, KEY.json")
         for group in groups:
             where = f"{path}, sample {group.key!r}"
             kind = find_roles(group.extensions, where).kind
@@ -124,7 +124,7 @@ def scan(paths: Sequence[Path], defaults: Facts) -> Index:
             if kind == "depth" and not facts.domain:
                 raise InputError(f'{where}: needs a domain: {{"domain": "indoor"}} in its .json, or one given for all')
             if group.end - group.start > MAX_SAMPLE:
-                raise InputError(f"{where}: larger than {MAX_SAMPLE:,} bytes")
+                raise InputError(f"{where}: larger than {MAX_SAMPLE:,} bytes, the most that a sample may have")
             domains.add(facts.domain or "")
             kinds.add(kind)
         offsets = [group.start for group in groups] + [groups[-1].end]
@@ -146,7 +146,7 @@ class _Group:
 def _groups(path: Path) -> Iterator[_Group]:
     group = None
     try:
-        with path.open("rb") as file, _open_tar(file) as archive:
+        with path.open("rb") as file, open_tar(file) as archive:
             while (member := archive.next()) is not None:
                 archive.members = []  # it would keep them all
                 name = split_name(member.name) if member.isreg() and not member.issparse() else None
@@ -165,33 +165,16 @@ def _groups(path: Path) -> Iterator[_Group]:
     except (OSError, tarfile.TarError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path} is no tar file, compressed, or damaged ({error})") from error
+        raise InputError(
+            f"{path} is compressed, damaged, or not a tar file at all ({error}). Unpack or copy it again"
+        ) from error
     if group is not None:
         yield group
 
 
-def _open_tar(file: IO[bytes]) -> Any:
-    """A ``TarFile``, whose list of members its types leave out."""
-    bounded: Any = _Bounded(file)  # as much of a file as tarfile uses
-    return tarfile.open(fileobj=bounded, mode="r:")
-
-
-class _Bounded:
-    """A file for ``tarfile``, which reads as much as a header says it should."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.seek, self.tell = file.seek, file.tell
-
-    def read(self, size: int = -1) -> bytes:
-        if not 0 <= size <= MAX_JSON:
-            raise tarfile.ReadError("a header is too long")
-        return self._file.read(size)
-
-
 def _parse_shard(entry: dict[str, Any]) -> Shard:
     name, sha256 = entry["name"], entry["sha256"]
-    # It becomes a path.
+    # The name becomes a path.
     if not _SHARD_NAME.fullmatch(name):
         raise ValueError(f"{name!r} is no name of a shard")
     if sha256 is not None and not re.fullmatch("[0-9a-f]{64}", sha256):

@@ -1,21 +1,23 @@
-"""The members of a sample in a tar file: their names, and to bytes and back."""
+"""The members of a sample in a tar file: what their names mean, and how they become bytes and come back."""
 
 import re
 import tarfile
 from collections.abc import Iterable, Mapping
 from io import BytesIO
-from typing import IO, NamedTuple
+from typing import IO, Any, NamedTuple
 
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
-from zoedepth.stored import DEPTH_SUFFIXES
+from zoedepth.stored import DEPTH_SUFFIXES, BoundedFile
 
 MAX_SAMPLE = 1 << 28
-"""Bytes of a sample, at most: 256 MiB."""
+"""The most bytes that a sample may have: 256 MiB."""
 
 MAX_JSON = 1 << 16
-"""Bytes of a sample's JSON, at most."""
+"""The most bytes that the JSON of a sample may have."""
+
+_MAX_MEMBERS = 100
 
 # webdataset's rule: the key ends at the first dot of the file's name.
 _NAME = re.compile(r"((?:.*/)?[^./][^./]*)\.([^/]+)", re.DOTALL)
@@ -24,7 +26,7 @@ _TARGETS: dict[str, Target] = {"depth": "depth", "depth_map": "depth", "disparit
 
 
 class Roles(NamedTuple):
-    """Which member, by its extension, is what."""
+    """The extensions of the members of a sample, by what they are."""
 
     photo: str
     target: str
@@ -33,28 +35,30 @@ class Roles(NamedTuple):
 
 
 def split_name(name: str) -> tuple[str, str] | None:
-    """(key, extension in lower case) of a member; None where it has not both."""
+    """Split the name of a member into (key, extension in lower case); None where it lacks one of them."""
     found = _NAME.fullmatch(name)
     return (found[1], found[2].lower()) if found else None
 
 
 def find_roles(extensions: Iterable[str], where: str) -> Roles:
-    """The photo, target and mask among the extensions of a sample; others are left alone.
+    """Find the photo, target and mask among the extensions of a sample; others are ignored.
 
     Raises:
-        InputError: not exactly one photo and one target.
+        InputError: there is not exactly one photo and one target.
     """
     extensions = sorted(extensions)
     photos = [name for name in extensions if _matches(name, _PHOTOS, IMAGE_SUFFIXES)]
     targets = [name for name in extensions if _matches(name, _TARGETS, DEPTH_SUFFIXES)]
     if len(photos) != 1 or len(targets) != 1:
-        raise InputError(f"{where}: needs one photo (.jpg, .png …) and one .depth.png or .depth.npz; has {extensions}")
+        raise InputError(
+            f"{where}: needs one photo (.jpg, .png …) and one .depth.png or .depth.npz; it has {extensions}"
+        )
     kind = _TARGETS[targets[0].partition(".")[0]]
     return Roles(photos[0], targets[0], kind, "mask.png" if "mask.png" in extensions else None)
 
 
 def pack(key: str, members: Mapping[str, bytes]) -> bytes:
-    """The bytes of a sample in a tar file, the same whenever and by whomever they are written."""
+    """Return the bytes of a sample in a tar file, which are the same whoever writes them and when."""
     blocks = []
     for extension, content in sorted(members.items()):
         header = tarfile.TarInfo(f"{key}.{extension}")  # no owner, the first of January 1970
@@ -64,20 +68,21 @@ def pack(key: str, members: Mapping[str, bytes]) -> bytes:
 
 
 def unpack(block: bytes, where: str) -> dict[str, bytes]:
-    """Extension → content of the members of a sample.
+    """Return extension → content of the members of a sample.
 
     Raises:
-        InputError: the block is damaged; ``where`` says which.
+        InputError: the block is damaged, or has very many members; ``where`` says which block it is.
     """
     found: dict[str, bytes] = {}
     try:
-        with tarfile.open(fileobj=BytesIO(block), mode="r:") as archive:
+        with open_tar(BytesIO(block)) as archive:
             while (member := archive.next()) is not None:
+                archive.members = []  # it would keep them all
                 name = split_name(member.name)
                 if name is None or not member.isreg() or member.issparse():
                     continue
-                if name[1] in found:
-                    raise InputError(f"{where}: has two members .{name[1]}")
+                if name[1] in found or len(found) == _MAX_MEMBERS:
+                    raise InputError(f"{where}: has two members .{name[1]}, or more than {_MAX_MEMBERS}")
                 content = block[member.offset_data : member.offset_data + member.size]
                 if len(content) != member.size:
                     raise tarfile.ReadError(f"{member.name!r} is cut short")
@@ -86,12 +91,21 @@ def unpack(block: bytes, where: str) -> dict[str, bytes]:
     except (tarfile.TarError, ValueError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{where}: the shard is damaged ({error})") from error
+        raise InputError(f"{where}: the shard is damaged, copy it again ({error})") from error
     return found
 
 
+def open_tar(file: IO[bytes]) -> Any:
+    """Open a tar file that is not compressed; returns a ``TarFile``, whose list of members its types leave out.
+
+    Its headers may be as long as the JSON of a sample, and a ``ValueError`` is raised where one claims to be longer.
+    """
+    bounded: Any = BoundedFile(file, max_bytes=MAX_JSON)  # as much of a file as tarfile uses
+    return tarfile.open(fileobj=bounded, mode="r:")
+
+
 def check_end(file: IO[bytes], offset: int) -> None:
-    """``tarfile`` takes a damaged header for the end of the file; the true end is empty, or zeros.
+    """Check that a tar file ends here: the true end is empty or zeros, but ``tarfile`` also stops at a damaged header.
 
     Raises:
         tarfile.ReadError: something else stands there.

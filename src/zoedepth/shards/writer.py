@@ -1,4 +1,4 @@
-"""Samples into shards: bit for bit the same samples, each shard whole or not at all."""
+"""Write samples as shards: the samples stay the same bit for bit, and each shard is written whole or not at all."""
 
 import hashlib
 import json
@@ -34,7 +34,7 @@ from zoedepth.shards.members import MAX_SAMPLE, pack
 from zoedepth.stored import Memory
 
 SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
-"""Units in which depth may turn out to be whole numbers; TUM's is 5000."""
+"""Stored values of one metre that are tried, to store depth as whole numbers; 5000 is TUM's."""
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}")
 _UNITS = {"KB": 10**3, "MB": 10**6, "GB": 10**9}
@@ -42,26 +42,26 @@ _UNITS = {"KB": 10**3, "MB": 10**6, "GB": 10**9}
 
 @dataclass(frozen=True)
 class ShardSize:
-    """When a shard is full."""
+    """The size at which a shard is full; None does not limit it."""
 
     bytes: int | None = None
     samples: int | None = None
 
     @classmethod
     def parse(cls, text: str) -> "ShardSize":
-        """Of "500MB" (KB, MB, GB), or of "1000": samples.
+        """Parse "500MB" (KB, MB, GB), or "1000", which is a number of samples.
 
         Raises:
-            InputError: neither of them.
+            InputError: the text is neither.
         """
         found = re.fullmatch(r"(\d{1,12})\s*([KMG]B)?", text.strip().upper())
         if not found or int(found[1]) == 0:
-            raise InputError(f"the size of a shard is 500MB, 2GB, or a number of samples; it is {text!r}")
+            raise InputError(f"give the size of a shard as 500MB, 2GB, or a number of samples; it is {text!r}")
         number = int(found[1])
         return cls(bytes=number * _UNITS[found[2]]) if found[2] else cls(samples=number)
 
     def holds(self, n_bytes: int, n_samples: int) -> bool:
-        """Whether a shard may be as large."""
+        """Return True if a shard may be as large."""
         return (self.bytes is None or n_bytes <= self.bytes) and (self.samples is None or n_samples <= self.samples)
 
 
@@ -82,27 +82,27 @@ def write_shards(
     workers: int = 0,
     track: Callable[[Iterable[Packed], int], Iterable[Packed]] = lambda samples, first: samples,
 ) -> Index:
-    """Write ``out/NAME-000000.tar`` and so on, and ``out/index.json``. What is written already is not written again.
+    """Write ``out/NAME-000000.tar`` and so on, and ``out/index.json``. Finished shards are not written again.
 
-    The photo's own file is kept where the data set shows it as it is, else it is written as a PNG. Depth becomes a PNG
-    where that loses nothing, else an .npz of floats. The same samples give the same bytes.
+    A photo keeps the bytes of its file where the data set shows the file as it is; else it becomes a PNG. Depth becomes
+    a PNG where that loses nothing, else an .npz of floats. The same samples give the same bytes.
 
     Args:
         dataset: the samples.
         out: folder for the shards; made if need be.
-        name: what their names begin with: letters, digits, - and _.
-        size: of a shard; a single sample is written however large.
-        workers: processes that read and pack; 0: this one.
-        track: given the samples and the number of the first that is to be written, gives them on and shows progress.
+        name: what the names of the shards begin with: letters, digits, - and _.
+        size: how large a shard may become; a shard always takes one sample, however large.
+        workers: processes that read and pack; 0 takes this one.
+        track: gets the samples and the number of the first one to write, gives them on, and shows progress.
 
     Raises:
-        InputError: a sample is damaged or larger than 256 MiB, or the folder has shards of something else. What is
-            finished stays, and the same call goes on from there.
+        InputError: a sample is damaged or larger than 256 MiB, or the folder has other shards. Finished shards stay,
+            and the same call goes on from there.
     """
     if not _NAME.fullmatch(name):
-        raise InputError(f"shards are called by letters, digits, - and _; {name!r} cannot be their name")
+        raise InputError(f"{name!r} cannot be the name of shards: take letters, digits, - and _")
     if not len(dataset):
-        raise InputError("there are no samples to write")
+        raise InputError("there are no samples to write: the data set is empty")
     packing = _Packing(dataset)
     settings = {"name": name, "shard_size": [size.bytes, size.samples], "samples": len(dataset)}
     index = _begun(out, settings, packing)
@@ -128,7 +128,7 @@ def write_shards(
 
 
 def whole_numbers(target: DepthArray, scale: float) -> UInt16[np.ndarray, "height width"] | None:
-    """The 16-bit levels of which a target is exactly ``levels / scale``; None where there are none."""
+    """Return the 16-bit levels with which a target is exactly ``levels / scale``; None where there are none."""
     with np.errstate(over="ignore", invalid="ignore"):
         levels = np.rint(target * np.float32(scale))
         exact = np.array_equal(levels / np.float32(scale), target)
@@ -136,7 +136,7 @@ def whole_numbers(target: DepthArray, scale: float) -> UInt16[np.ndarray, "heigh
 
 
 class _Packing(Dataset[Packed | InputError]):
-    """Samples by number, as bytes. Errors are handed on as values: raised in a worker they would lose their message."""
+    """Samples by number, as bytes. Errors are returned as values: raised in a worker they would lose their message."""
 
     def __init__(self, dataset: Samples) -> None:
         self.dataset = dataset
@@ -157,7 +157,7 @@ class _Packing(Dataset[Packed | InputError]):
 
 
 def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
-    """(file of the photo, the stored value of one metre), where there is one."""
+    """Return (file of the photo, the stored value of one metre); None where there is none."""
     if isinstance(dataset, PairDataset):
         return dataset.pairs[index].image, dataset.pairs[index].scale
     return (dataset.pairs[index].image if isinstance(dataset, PublishedDataset) else None), None
@@ -166,7 +166,7 @@ def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
 def _pack_photo(sample: Sample, path: Path | None) -> dict[str, bytes]:
     if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
         content = path.read_bytes()
-        # Some data sets crop or resize what the file has.
+        # Some data sets crop or resize the photo of the file.
         shown = torch.tensor(read_image(Memory(content, str(path)))).permute(2, 0, 1).float() / 255
         if torch.equal(shown, sample.image):
             suffix = path.suffix.lower().removeprefix(".")
@@ -176,7 +176,7 @@ def _pack_photo(sample: Sample, path: Path | None) -> dict[str, bytes]:
 
 
 def _pack_target(sample: Sample, scale: float | None) -> dict[str, bytes]:
-    """Target, mask and JSON of a sample."""
+    """Pack the target, mask and JSON of a sample."""
     known = sample.mask[0].numpy()
     target = np.where(known, sample.target[0].numpy(), np.float32(0))
     about: dict[str, object] = {"kind": sample.kind, "domain": sample.domain, "name": sample.name}
@@ -202,7 +202,7 @@ def _png(values: np.ndarray) -> bytes:
 
 
 def _npz(target: DepthArray) -> bytes:
-    """Floats of 16 bits where that loses nothing."""
+    """Pack floats, of 16 bits where that loses nothing."""
     with np.errstate(over="ignore"):
         half = target.astype(np.float16)
     file = BytesIO()
@@ -220,7 +220,7 @@ def _unless_failed(samples: Iterable[Packed | InputError]) -> Iterator[Packed]:
 def _write_shard(
     path: Path, name: str, packed: Packed, samples: Iterator[Packed], size: ShardSize
 ) -> tuple[Shard, set[tuple[str, Target]], Packed | None]:
-    """The shard, (domain, kind) of what is in it, and the sample for which it had no room."""
+    """Write a shard; returns it, the (domain, kind) of its samples, and the sample for which it had no room."""
     offsets, written, digest = [0], set(), hashlib.sha256()
     following: Packed | None = packed
     with path.open("wb") as file:
@@ -232,17 +232,17 @@ def _write_shard(
             offsets.append(offsets[-1] + len(following.block))
             written.add((following.domain, following.kind))
             following = next(samples, None)
-        end = b"\0" * (2 * tarfile.BLOCKSIZE)  # how a tar file says that it is whole
+        end = b"\0" * (2 * tarfile.BLOCKSIZE)  # the mark at the end of a tar file
         file.write(end)
         digest.update(end)
     return Shard(name, np.array(offsets, np.int64), digest.hexdigest()), written, following
 
 
 def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
-    """What is finished in the folder.
+    """Return the index of the shards that are finished in the folder.
 
     Raises:
-        InputError: it is of other samples, or of shards of another size.
+        InputError: they are shards of other samples or of another size.
     """
     path = out / INDEX_FILE
     if not path.is_file():

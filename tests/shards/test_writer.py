@@ -1,0 +1,158 @@
+"""Write shards: the same samples come back bit for bit, other programs read them, and interrupted writing goes on."""
+
+import json
+import tarfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from tests.folders import write_disparity_pairs, write_pairs
+from tests.shards.samples import THREE, Listed, same, sample, there_and_back
+
+from zoedepth.data.pairs import PairDataset
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
+from zoedepth.shards.dataset import ShardDataset
+from zoedepth.shards.writer import ShardSize, whole_numbers, write_shards
+
+
+class TestThereAndBack:
+    def test_samples_are_the_same_bit_for_bit(self, pairs: PairDataset, shards: Path):
+        dataset = ShardDataset(shards)
+        assert len(dataset) == 7
+        assert all(same(dataset[i], pairs[i]) for i in (6, 0, 3, 2, 5, 1, 4))
+        assert (dataset.domains, dataset.kinds) == (["indoor"], ["depth"])
+
+    def test_photos_keep_the_bytes_of_their_files(self, pairs: PairDataset, shards: Path):
+        with tarfile.open(shards / "pairs-000000.tar") as archive:
+            names = archive.getnames()
+            photo = archive.extractfile("00000001.jpg")
+            assert photo is not None
+            assert photo.read() == pairs.pairs[1].image.read_bytes()
+        assert names == [f"0000000{i}.{end}" for i in range(3) for end in ("depth.png", "jpg", "json")]
+
+    def test_stored_values_and_scale_are_those_of_the_source(self, tmp_path: Path):
+        pairs = PairDataset(write_pairs(tmp_path / "pairs", n=1, size=(16, 24), domain="outdoor"))
+        write_shards(pairs, tmp_path / "out", name="data", size=THREE)
+        with tarfile.open(tmp_path / "out" / "data-000000.tar") as archive:
+            stored = archive.extractfile("00000000.depth.png")
+            about = archive.extractfile("00000000.json")
+            assert stored is not None
+            assert about is not None
+            assert np.array_equal(np.asarray(Image.open(stored)), np.asarray(Image.open(pairs.pairs[0].target)))  # type: ignore[arg-type]
+            assert json.load(about)["depth_scale"] == 256
+
+    def test_disparity(self, tmp_path: Path):
+        pairs = PairDataset(write_disparity_pairs(tmp_path / "pairs", n=2, size=(16, 24)))
+        write_shards(pairs, tmp_path / "out", name="data", size=THREE)
+        dataset = ShardDataset(tmp_path / "out")
+        assert all(same(dataset[i], pairs[i]) for i in range(2))
+        assert (dataset.kinds, dataset.domains) == (["disparity"], [""])
+
+    def test_samples_that_are_in_no_files(self, tmp_path: Path):
+        camera = Intrinsics(500.5, 501, 0.25, -3)
+        samples = [
+            sample([[0.1, 0, 70.7]], camera=camera),  # not whole numbers of anything
+            sample([[1.5, 0.25, 0]], domain="outdoor"),  # halves and quarters: exact in 16 bits of float
+            sample([[0.123, 65.535, 0]]),  # millimetres
+            sample([[-1.5, 0.0, 3.0]], kind="disparity", mask=torch.tensor([[[True, True, False]]])),
+        ]
+        samples[3] = replace(samples[3], target=torch.tensor([[[-1.5, 0.0, 0.0]]]))
+        assert all(same(*two) for two in zip(there_and_back(tmp_path, samples), samples, strict=True))
+
+    @pytest.mark.parametrize("scale", [1000, 256, 5000, 100, 1])
+    def test_every_level_of_sixteen_bits_is_found_again(self, scale: int):
+        levels = np.arange(65536, dtype=np.uint16)[None]
+        found = whole_numbers(levels.astype(np.float32) / np.float32(scale), scale)
+        assert found is not None
+        assert np.array_equal(found, levels)
+
+    @pytest.mark.parametrize("value", [0.0005, 65.5365, -1.0, float("nan"), float("inf")])
+    def test_what_has_no_level_has_none(self, value: float):
+        assert whole_numbers(np.array([[1.0, value]], np.float32), 1000) is None
+
+    def test_other_programs_read_them(self, shards: Path):
+        webdataset = pytest.importorskip("webdataset")
+        paths = [str(path) for path in sorted(shards.glob("*.tar"))]
+        rows = list(webdataset.WebDataset(paths, shardshuffle=False).decode("pil"))
+        assert [row["__key__"] for row in rows] == [f"0000000{i}" for i in range(7)]
+        assert rows[4]["jpg"].size == rows[4]["depth.png"].size == (24, 16)
+        assert rows[4]["json"]["name"] == str(Path("image/train_004.jpg"))
+
+
+class TestWriting:
+    def test_bytes_are_the_same_every_time(self, pairs: PairDataset, shards: Path, tmp_path: Path):
+        write_shards(pairs, tmp_path / "again", name="pairs", size=THREE, workers=2)
+        names = sorted(path.name for path in shards.iterdir())
+        assert names == ["index.json", *(f"pairs-00000{i}.tar" for i in range(3))]
+        assert all((shards / name).read_bytes() == (tmp_path / "again" / name).read_bytes() for name in names)
+
+    def test_size_in_bytes_is_kept(self, pairs: PairDataset, shards: Path, tmp_path: Path):
+        # Room for two samples, not for three.
+        room = int(ShardDataset(shards).index.shards[0].offsets[3]) - 1
+        index = write_shards(pairs, tmp_path / "out", name="data", size=ShardSize(bytes=room))
+        assert [len(shard) for shard in index.shards] == [2, 2, 2, 1]
+        index = write_shards(pairs, tmp_path / "tiny", name="data", size=ShardSize(bytes=1))
+        assert [len(shard) for shard in index.shards] == [1] * 7
+
+    @pytest.mark.parametrize(
+        ("text", "size"),
+        [("500MB", ShardSize(500_000_000)), ("2 gb", ShardSize(2 * 10**9)), ("100", ShardSize(samples=100))],
+    )
+    def test_size_as_typed(self, text: str, size: ShardSize):
+        assert ShardSize.parse(text) == size
+
+    @pytest.mark.parametrize("text", ["", "0", "-1", "MB", "1.5GB", "5TB", "1e3"])
+    def test_size_that_is_none(self, text: str):
+        with pytest.raises(InputError, match="500MB"):
+            ShardSize.parse(text)
+
+    @pytest.mark.parametrize("workers", [0, 2])
+    def test_interrupted_writing_goes_on(self, pairs: PairDataset, shards: Path, tmp_path: Path, workers: int):
+        out, photo = tmp_path / "out", pairs.pairs[4].image
+        content = photo.read_bytes()
+        photo.write_bytes(b"damaged")
+        with pytest.raises(InputError, match=photo.name) as raised:
+            write_shards(pairs, out, name="pairs", size=THREE, workers=workers)
+        assert "Traceback" not in str(raised.value)
+        assert sorted(path.name for path in out.iterdir()) == ["index.json", "pairs-000000.tar"]
+        with pytest.raises(InputError, match="unfinished"):
+            ShardDataset(out)
+
+        photo.write_bytes(content)
+        begun, first = (out / "pairs-000000.tar").stat().st_ino, []
+        write_shards(pairs, out, name="pairs", size=THREE, track=lambda samples, n: first.append(n) or samples)
+        assert first == [3]
+        assert (out / "pairs-000000.tar").stat().st_ino == begun
+        assert all((out / path.name).read_bytes() == path.read_bytes() for path in shards.iterdir())
+
+    def test_finished_writing_writes_nothing(self, pairs: PairDataset, shards: Path):
+        before = {path.name: path.stat().st_ino for path in shards.iterdir()}
+        write_shards(pairs, shards, name="pairs", size=THREE)
+        assert {path.name: path.stat().st_ino for path in shards.iterdir()} == before
+
+    def test_lost_shard_is_written_again(self, pairs: PairDataset, shards: Path):
+        content = (shards / "pairs-000001.tar").read_bytes()
+        (shards / "pairs-000001.tar").unlink()
+        write_shards(pairs, shards, name="pairs", size=THREE)
+        assert (shards / "pairs-000001.tar").read_bytes() == content
+
+    def test_shards_of_something_else_are_not_touched(self, pairs: PairDataset, shards: Path, tmp_path: Path):
+        before = {path.name: path.read_bytes() for path in shards.iterdir()}
+        other = PairDataset(write_pairs(tmp_path / "other", n=7, size=(16, 24), domain="outdoor"))
+        for arguments in ({"size": ShardSize(samples=2)}, {"name": "others"}, {"dataset": other}):
+            with pytest.raises(InputError, match="other samples or of another size"):
+                write_shards(**{"dataset": pairs, "out": shards, "name": "pairs", "size": THREE, **arguments})  # type: ignore[arg-type]
+        assert {path.name: path.read_bytes() for path in shards.iterdir()} == before
+
+    @pytest.mark.parametrize("name", ["", "a/b", "..", "a b", "a.b"])
+    def test_name_that_is_no_name_of_a_file(self, pairs: PairDataset, tmp_path: Path, name: str):
+        with pytest.raises(InputError, match="letters, digits"):
+            write_shards(pairs, tmp_path / "out", name=name, size=THREE)
+
+    def test_nothing_to_write(self, tmp_path: Path):
+        with pytest.raises(InputError, match="no samples"):
+            write_shards(Listed([]), tmp_path / "out", name="data", size=THREE)
