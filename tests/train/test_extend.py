@@ -24,6 +24,11 @@ def test_range_grows_to_a_round_number(tiny_config, far: float, expected: float)
     assert config.domains == (replace(INDOOR, max_depth=expected), OUTDOOR)
 
 
+def test_range_that_is_just_reached_stays(tiny_config):
+    config = replace(tiny_config, domains=(replace(INDOOR, max_depth=15.0), OUTDOOR))
+    assert extended_config(config, {"indoor": 15.0}) == config
+
+
 def test_new_domain_gets_a_head_of_its_own_at_the_end(tiny_config):
     config = extended_config(tiny_config, {"warehouse": 27.0, "indoor": 3.0})
     assert config.domains == (INDOOR, OUTDOOR, Domain("warehouse", 1e-3, 30.0))

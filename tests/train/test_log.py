@@ -85,6 +85,20 @@ def test_numbers_are_in_tensorboard_by_name(make_config: MakeConfig, tmp_path: P
     assert all(name in content for name in (b"train/silog", b"speed/images_per_s", b"speed/data_wait"))
 
 
+def test_tensorboard_forgets_later_steps_on_resuming(make_config: MakeConfig, tmp_path: Path) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    with Log(tmp_path, make_config(), first_step=0, active=True) as log:
+        for step in range(1, 6):
+            log.write(step, {"train/loss": 1.0})
+    with Log(tmp_path, make_config(), first_step=3, active=True) as log:
+        log.write(4, {"train/loss": 44.0})
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    found = [(event.step, event.value) for event in events.Scalars("train/loss")]
+    assert found == [(1, 1), (2, 1), (3, 1), (4, 44)]
+
+
 def test_console_says_the_numbers_but_the_rates_and_keeps_stdout_for_results(
     make_config: MakeConfig, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

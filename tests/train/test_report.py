@@ -92,12 +92,14 @@ def test_pictures_show_held_out_photos_or_else_those_of_the_batch(
     assert len(expected) * 200 < height < (len(expected) + 1) * 320
 
 
-def test_pictures_are_spread_over_the_data_sets(start_run: StartRun, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pictures_are_spread_over_the_data_sets(
+    start_run: StartRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     shown = []
     monkeypatch.setattr(module, "validate", lambda *_, **__: {})
     monkeypatch.setattr(module, "predictions_sheet", lambda model, samples, *, stage: shown.extend(samples) or _WHITE)
-    run = start_run(steps=1, holdout=1, pictures=2)
-    take(run, 1)
+    both = {name: write_pairs(tmp_path / name, n=3, domain=name) for name in ("indoor", "outdoor")}
+    take(start_run(data=both, steps=1, holdout=2, pictures=2), 1)
     assert [sample.domain for sample in shown] == ["indoor", "outdoor"]
 
 

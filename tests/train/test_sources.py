@@ -151,3 +151,29 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
     for source, values in cases:
         for name, value in values.items():
             assert not torch.equal(result(source), result(dataclasses.replace(source, **{name: value}))), name
+
+
+def test_half_of_the_samples_are_mirrored(make_config: MakeConfig) -> None:
+    steps = augmentations(PLAIN, make_config())
+    samples = [augment(outdoor_sample((64, 64)), steps, np.random.default_rng(seed)) for seed in range(40)]
+    mirrored = [sample.target[0, 0, 0] > sample.target[0, 0, 40] for sample in samples]
+    assert 10 <= sum(mirrored) <= 30
+
+
+@pytest.mark.parametrize(("crop", "side"), [("fit", 256), ("squeeze", 256), ("window", 32)])
+def test_scattered_points_are_kept_and_not_multiplied_where_the_source_says_so(
+    make_config: MakeConfig, crop: str, side: int
+) -> None:
+    """A window resizes only a photo that is smaller than it."""
+    sample = outdoor_sample((side, side))
+    mask = torch.rand(1, side, side, generator=torch.Generator().manual_seed(0)) < 0.01
+    sample = dataclasses.replace(sample, mask=mask, target=sample.target * mask)
+    known = {}
+    for sparse in (False, True):
+        source = dataclasses.replace(PLAIN, crop=crop, sparse=sparse)
+        result = augment(sample, augmentations(source, make_config()), np.random.default_rng(0))
+        known[sparse] = int(result.mask.sum())
+    if side > 64:  # every n-th pixel of the photo, or every point of it
+        assert known[True] > 8 * known[False]
+    else:  # every point once, or as often as the photo is enlarged
+        assert known[False] > 2 * known[True] > 0

@@ -1,6 +1,7 @@
 """Checkpoints: whole or absent, the newest two, refused where they are damaged or of another configuration."""
 
 import dataclasses
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -113,6 +114,16 @@ def test_average_follows_with_its_decay(config: TrainConfig) -> None:
     torch.testing.assert_close(state.result.encoder.network.cls_token.detach(), expected)
 
 
+def test_average_follows_the_statistics_of_batch_norms_too() -> None:
+    norm = torch.nn.BatchNorm1d(1, momentum=1.0)
+    average = averaged(norm, 0.75)
+    assert average is not None
+    for mean in (4.0, 8.0):  # the first is taken as it is
+        norm(torch.tensor([[mean - 1], [mean + 1]]))
+        average.update_parameters(norm)
+    assert average.module.running_mean.item() == 0.75 * 4 + 0.25 * 8
+
+
 def test_result_is_the_average_where_there_is_one(make_config: MakeConfig) -> None:
     with_average, without = make_state(make_config()), make_state(make_config(ema_decay=None))
     assert with_average.result is not with_average.model
@@ -197,6 +208,19 @@ def test_failed_save_leaves_the_checkpoints_as_they_were(config: TrainConfig, tm
         state.save(tmp_path, config)
     assert checkpoints(tmp_path) == [folder]
     make_state(config).load(folder, config)
+
+
+def test_files_are_on_the_disk_before_the_checkpoint_has_its_name(
+    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Or a power cut could leave a whole name with half of its files."""
+    done: list[str] = []
+    sync, rename = os.fsync, os.replace
+    monkeypatch.setattr(os, "fsync", lambda file: done.append("sync") or sync(file))
+    monkeypatch.setattr(os, "replace", lambda old, new: done.append(Path(new).name) or rename(old, new))
+    make_state(config).save(tmp_path, config)
+    assert done[-1] == "step_000000"
+    assert done[-4:-1] == ["sync"] * 3
 
 
 HARMLESS = {

@@ -39,7 +39,7 @@ class Log:
         self._folder = folder
         self._jsonl = folder / "log.jsonl"
         self._forget_after(first_step)
-        self._tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step)
+        self._tensorboard = SummaryWriter(str(folder / "tensorboard"), purge_step=first_step + 1)
         self._progress = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
             TextColumn("{task.fields[state]}"), console=console,

@@ -1,4 +1,4 @@
-"""What happens after a step: log, validation, pictures, checkpoint, and the end if somebody asked for it."""
+"""Report a step: log, validate, draw, write a checkpoint, and end if somebody asked for it."""
 
 from collections.abc import Mapping
 
@@ -38,6 +38,7 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
 
 
 def _validate_and_draw(run: Run, batch: Batch) -> None:
+    """Measure the model on the held-out samples, and draw its predictions."""
     model, stage, step = run.state.result, run.config.stage, run.state.step
     if run.validation:
         run.log.write(step, validate(model, run.validation, stage=stage))

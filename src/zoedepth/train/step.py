@@ -27,9 +27,9 @@ def backward(run: Run, loss: Tensor, batch: Batch, *, complete: bool) -> None:
 
     Args:
         run: the run.
-        loss: the same on all processes, see ``zoedepth.train.processes.total``.
+        loss: the loss of the batch of all processes, see ``zoedepth.train.processes.total``.
         batch: the batch that the loss was computed from; an error names its images.
-        complete: whether this is the last batch of the step; processes exchange their gradients then.
+        complete: True for the last batch of the step: then processes exchange their gradients.
 
     Raises:
         TrainingError: the loss is not finite; the weights are as they were.
