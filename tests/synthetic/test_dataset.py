@@ -24,7 +24,7 @@ print(*(digest(data[i]) for i in (3, 2)))
 
 
 def digest(sample: Sample) -> str:
-    """Of all that a sample holds."""
+    """Hash all that a sample holds."""
     tensors = sample.image.numpy().tobytes() + sample.target.numpy().tobytes() + sample.mask.numpy().tobytes()
     return hashlib.sha256(tensors + repr((sample.camera, sample.name, sample.domain)).encode()).hexdigest()
 
@@ -95,6 +95,25 @@ def test_no_picture_is_of_the_inside_of_a_thing_or_mostly_unknown(samples: list[
     assert np.mean([s.mask.float().mean() for s in samples if s.domain == "indoor"]) > 0.85
 
 
+def test_camera_and_depth_agree_on_flat_ground(samples: list[Sample]) -> None:
+    """Points of a level floor, put back with the camera, lie in a plane: depth is along the axis, not along the ray."""
+    residuals = []
+    for sample in (s for s in samples if s.domain == "indoor" and s.camera is not None):
+        assert sample.camera is not None
+        points = sample.camera.rays(SIZE) * sample.target[0].numpy()[..., None]
+        floor = points[-12:][sample.mask[0, -12:].numpy()].astype(float)
+        best = 1.0
+        rng = np.random.default_rng(0)
+        for _ in range(40):  # planes through three points: the floor or a wall fits one of them
+            a, b, c = floor[rng.choice(len(floor), 3, replace=False)]
+            normal = np.cross(b - a, c - a)
+            if np.linalg.norm(normal) > 1e-3:
+                away = np.abs((floor - a) @ normal) / np.linalg.norm(normal)
+                best = min(best, float(np.quantile(away, 0.25)))
+        residuals.append(best)
+    assert np.median(residuals) < 1e-4
+
+
 def test_domains_can_be_chosen() -> None:
     data = SyntheticScenes(3, size=(32, 48), domains=["outdoor"])
     assert data.domains == ["outdoor"]
@@ -104,9 +123,13 @@ def test_domains_can_be_chosen() -> None:
 
 
 def test_what_cannot_be_rendered_is_refused() -> None:
-    with pytest.raises(InputError, match="domains"):
+    with pytest.raises(InputError, match=r"moon.*indoor.*outdoor"):
         SyntheticScenes(3, domains=["moon"])
-    with pytest.raises(InputError, match="32 pixels"):
-        SyntheticScenes(3, size=(8, 8))
-    with pytest.raises(IndexError):
-        SyntheticScenes(3)[3]
+    with pytest.raises(InputError, match="domains"):
+        SyntheticScenes(3, domains=[])
+    for options in ({"size": (8, 8)}, {"size": (31, 64)}, {"n": 0}, {"seed": -1}):
+        with pytest.raises(InputError, match="32 pixels"):
+            SyntheticScenes(**options)  # type: ignore[arg-type]
+    for index in (3, -1):
+        with pytest.raises(IndexError):
+            SyntheticScenes(3)[index]

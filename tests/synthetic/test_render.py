@@ -5,9 +5,7 @@ import pytest
 
 pytest.importorskip("embreex")
 
-from zoedepth.errors import MissingExtraError
-from zoedepth.synthetic import trace
-from zoedepth.synthetic.pose import Pose, count_parts
+from zoedepth.synthetic.pose import Pose
 from zoedepth.synthetic.render import Rendering, View, render
 from zoedepth.synthetic.scene import Light, Material, Scene, Sky, Sun
 from zoedepth.synthetic.shapes import all_shapes
@@ -91,26 +89,98 @@ def test_every_pattern_and_shape_renders_without_nan() -> None:
     assert np.isfinite(result.depth).all()
 
 
-def test_shapes_fill_the_unit_cube_with_unit_normals() -> None:
-    for name, shape in all_shapes().items():
-        assert np.abs(shape.vertices).max() == pytest.approx(0.5, abs=1e-5), name
-        np.testing.assert_allclose(np.linalg.norm(shape.normals, axis=-1), 1, atol=1e-4, err_msg=name)
+def flat_ground(**options: object) -> Scene:
+    scene = Scene(**options)  # type: ignore[arg-type]
+    scene.at(0, 0).add("box", Material("plain", (0.5, 0.5, 0.5)), (100, 100, 1), (0, 0, -1))
+    return scene
 
 
-def test_pose_inside_a_thing_counts_nothing() -> None:
-    scene = Scene()
-    scene.at(0, 0).add("box", GRAY, (0.4, 0.4, 0.4), (0, 0, 1.3))
-    for i in range(12):
-        scene.at(i - 6, 5).add("box", GRAY, (0.8, 1, 4))
-    arrays = scene.arrays((0, 0, 1.5))
-    inside, outside = (Pose((0, y, 1.5), math.pi / 2, 0, 0, 1.2).view(SIZE) for y in (0, 1))
-    tracer = Tracer(arrays)
-    assert count_parts(inside, arrays, tracer, nearest=0.45, middle=1) == 0
-    assert count_parts(outside, arrays, tracer, nearest=0.45, middle=1) > 3
+def from_above(height: float = 12, size: tuple[int, int] = (41, 41)) -> View:
+    return Pose((0, 0, height), yaw=math.pi / 2, pitch=-math.pi / 2 + 1e-4, roll=0, field_of_view=1.0).view(size)
 
 
-def test_missing_renderer_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "embreex", None)
-    trace._embree.cache_clear()
-    with pytest.raises(MissingExtraError, match=r"\[synthetic\]"):
-        trace._embree(0)
+def test_light_of_a_lamp_falls_off_with_the_square() -> None:
+    near, far = (
+        picture(flat_ground(ambient=(0, 0, 0), lights=[Light((0, 0, z), (9, 9, 9), (1e-3, 0, 0), (0, 1e-3, 0))]),
+                from_above(4.0)).color[18:23, 18:23].mean()
+        for z in (6.0, 12.0)
+    )  # fmt: skip
+    assert near / far == pytest.approx(4, rel=0.03)
+
+
+def test_brightness_of_a_lit_surface_is_that_of_the_formula() -> None:
+    """Irradiance of the sun times the colour; a quarter of the ambient light on top, and nothing bounces in the open."""
+    scene = flat_ground(ambient=(0.2, 0.2, 0.2), sun=Sun((0.0, 0.6, 0.8), (2.0, 1.0, 0.5), 0.0))
+    color = picture(scene, from_above()).color.mean((0, 1))
+    np.testing.assert_allclose(color, 0.5**2.2 * (0.8 * np.array((2, 1, 0.5)) + 0.05), rtol=0.04)
+
+
+def test_glowing_surface_shines_in_the_dark() -> None:
+    scene = Scene(ambient=(0, 0, 0))
+    scene.at(0, 5).add("box", Material("plain", (0.5, 0.2, 0.1), glow=2.0), (50, 1, 50), (0, 0, -25))
+    color = picture(scene, Pose((0, 0, 0), math.pi / 2, 0, 0, 1).view(SIZE)).color.mean((0, 1))
+    np.testing.assert_allclose(color, 2 * np.array((0.5, 0.2, 0.1)) ** 2.2, rtol=0.06)
+
+
+def test_mirror_shows_what_is_behind_the_camera_and_has_its_own_depth() -> None:
+    scene = Scene(ambient=(0.5, 0.5, 0.5), sky=Sky((0, 0, 0), (0, 0, 0), (0, 0, 0), 0, 0, 0))
+    scene.at(0, 5).add("box", Material("plain", (0, 0, 0), mirror=1.0), (50, 1, 50), (0, 0, -25))
+    scene.at(0, -5).add("box", Material("plain", (0.9, 0.1, 0.1)), (4, 1, 4), (1, 0, -2))
+    result = picture(scene, Pose((0, 0, 0), math.pi / 2, 0, 0, 1).view((41, 41)))
+    np.testing.assert_allclose(result.depth, 4.5, rtol=1e-4)
+    red = result.color[20, :, 0]
+    shown = np.flatnonzero(red > 0.1)
+    # The image is 4.5 + 4.5 + 4 = 13.5 m away, from x = -1 to 3; a pixel is tan(0.5) / 20.5 wide.
+    pixel = math.tan(0.5) / 20.5
+    assert shown[0] == pytest.approx(20 - 1 / 13.5 / pixel, abs=1.1)
+    assert shown[-1] == pytest.approx(20 + 3 / 13.5 / pixel, abs=1.1)
+
+
+def test_haze_takes_its_share_at_its_distance() -> None:
+    sky = Sky((0, 0, 0), (0.8, 0.9, 1.0), (0, 0, 0), 0, 20.0, 0)
+    scene = Scene(ambient=(0, 0, 0), sky=sky)
+    scene.at(0, 20.5).add("box", Material("plain", (0, 0, 0)), (90, 1, 90), (0, 0, -45))
+    color = picture(scene, Pose((0, 0, 0), math.pi / 2, 0, 0, 0.2).view((33, 33))).color.mean((0, 1))
+    np.testing.assert_allclose(color, (1 - math.exp(-1)) * np.array(sky.horizon), rtol=0.02)
+
+
+def test_edges_are_smooth_and_depth_is_not() -> None:
+    """A pixel on an edge mixes both sides; its depth is that of one of them."""
+    scene = Scene(ambient=(0, 0, 0))
+    scene.at(-50, 5).add("box", Material("plain", (0.9, 0.9, 0.9), glow=1.0), (100, 1, 50), (0, 0, -25))
+    scene.at(0, 30).add("box", Material("plain", (0, 0, 0)), (100, 1, 90), (0, 0, -45))
+    result = picture(scene, Pose((0, 0, 0), math.pi / 2, 0, 0.1, 1).view(SIZE))
+    color, bright = result.color[..., 0], result.color.max()
+    mixed = (color > 0.2 * bright) & (color < 0.8 * bright)
+    assert 30 < mixed.sum() < 130
+    assert (mixed.sum(1) <= 3).all()
+    assert (
+        np.isclose(result.depth, 4.5, rtol=1e-4).sum() + np.isclose(result.depth, 29.5, rtol=1e-4).sum()
+        == result.depth.size
+    )
+
+
+def test_ground_beside_a_wall_takes_its_colour() -> None:
+    scene = flat_ground(ambient=(0, 0, 0), sun=Sun((0.0, -0.6, 0.8), (3.0, 3.0, 3.0), 0.0))
+    scene.at(0, 3).add("box", Material("plain", (0.9, 0.1, 0.1), (0.9, 0.1, 0.1)), (40, 1, 20))
+    view = Pose((0, -1, 8), math.pi / 2, -math.pi / 2 + 1e-4, 0, 1.0).view((41, 41))
+    color = picture(scene, view).color
+    redness = color[..., 0] / color[..., 2]
+    ground = picture(scene, view).depth > 7.9
+    assert redness[ground].max() > 1.1
+    assert redness[40].mean() < redness[ground].max()
+
+
+def test_same_generator_gives_the_same_bits() -> None:
+    scene = flat_ground(sun=Sun((0.0, 0.6, 0.8), (2.0, 1.0, 0.5), 0.1))
+    first, again, other = (picture(scene, from_above(), seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first.color, again.color)
+    assert (first.color != other.color).any()
+    np.testing.assert_array_equal(first.depth, other.depth)
+
+
+def test_rays_of_every_nth_pixel_are_spread_over_the_picture() -> None:
+    view = POSE.view((48, 64))
+    every, some = view.rays().reshape(48, 64, 3), view.rays(4).reshape(12, 16, 3)
+    expected = every.reshape(12, 4, 16, 4, 3).mean((1, 3))
+    np.testing.assert_allclose(some, expected, atol=1e-5)
