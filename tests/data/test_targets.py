@@ -1,0 +1,75 @@
+"""A photo and a stored map to a sample: units, unknown values, masks, and sizes."""
+
+import numpy as np
+import pytest
+
+from zoedepth.data.facts import Facts
+from zoedepth.data.sample import Sample
+from zoedepth.data.targets import to_sample
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
+from zoedepth.stored import StoredMap
+
+PHOTO = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+LEVELS = np.array([[0, 500, 1000], [2000, 1, 65535]], np.uint16)
+
+
+def make(values: np.ndarray | None, scale: float | None = None, **options) -> Sample:
+    options = {"kind": "depth", "facts": Facts(domain="indoor"), "name": "a", "files": ("a.jpg", "a.png"), **options}
+    return to_sample(PHOTO, None if values is None else StoredMap(values, scale), **options)
+
+
+def test_sample_has_photo_facts_and_name() -> None:
+    camera = Intrinsics(5, 6, 7, 8)
+    sample = make(LEVELS, 1000, facts=Facts(None, "attic", camera))
+    assert (sample.kind, sample.domain, sample.name, sample.camera) == ("depth", "attic", "a", camera)
+    np.testing.assert_array_equal((sample.image * 255).round().permute(1, 2, 0), PHOTO)
+
+
+@pytest.mark.parametrize(
+    ("said", "own", "default", "metres"), [(500, 1000, 250, 2), (None, 1000, 250, 1), (None, None, 250, 4)]
+)
+def test_unit_is_the_first_that_is_said(said, own, default, metres: float) -> None:
+    sample = make(LEVELS, own, facts=Facts(said), default_scale=default)
+    assert sample.target[0, 0, 2] == metres
+
+
+def test_whole_numbers_without_a_unit_are_an_error_and_floats_are_metres() -> None:
+    with pytest.raises(InputError, match=r"a\.png has whole numbers.*give depth_scale"):
+        make(LEVELS)
+    assert make(LEVELS.astype(np.float64)).target[0, 0, 2] == 1000
+
+
+def test_disparity_has_no_unit() -> None:
+    assert make(LEVELS, 1000, kind="disparity", facts=Facts(500), default_scale=250).target[0, 0, 2] == 1000
+
+
+def test_values_that_are_not_positive_or_not_finite_are_unknown() -> None:
+    sample = make(np.array([[1, 0, -1], [np.nan, np.inf, 1e300]]))
+    assert sample.mask[0].tolist() == [[True, False, False], [False, False, False]]
+    assert sample.target[0].tolist() == [[1, 0, 0], [0, 0, 0]]
+
+
+def test_mask_decides_about_disparity_only_where_it_should() -> None:
+    values, mask = np.array([[-1.0, 0, 2], [3, np.nan, 0]]), np.array([[True, True, True], [False, True, False]])
+    known = [[True, True, True], [False, False, False]]
+    positive = [[False, False, True], [False, False, False]]
+    for kind, decides, expected in (
+        ("disparity", True, known),
+        ("disparity", False, positive),
+        ("depth", True, positive),
+    ):
+        sample = make(values, kind=kind, mask=mask, mask_decides=decides)
+        assert sample.mask[0].tolist() == expected
+        assert (sample.target[~sample.mask] == 0).all()
+
+
+def test_without_a_map_nothing_is_known() -> None:
+    assert not make(None).mask.any()
+
+
+def test_sizes_must_agree() -> None:
+    with pytest.raises(InputError, match=r"a\.jpg is \(2, 3\) and a\.png is \(3, 2\)"):
+        make(LEVELS.T, 1)
+    with pytest.raises(InputError, match=r"a\.jpg is \(2, 3\) and the mask of a\.png is \(1, 3\)"):
+        make(LEVELS, 1, mask=np.ones((1, 3), bool))
