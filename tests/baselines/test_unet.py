@@ -5,7 +5,7 @@ import torch
 from zoedepth.baselines.unet import EfficientNetEncoder, UNetDecoder
 from zoedepth.errors import InputError
 
-ENCODER = "tf_efficientnet_lite0"
+ENCODER = "test_efficientnet"
 
 
 def test_maps_of_b5_are_those_of_the_originals():
