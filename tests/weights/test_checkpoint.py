@@ -209,7 +209,7 @@ IMPOSSIBLE = [
     {"encoder__taps": [-1, 1, 2, 3]}, {"encoder__taps": [0, 1, 2, 10**30]}, {"encoder__heads": [0]},
     {"encoder__heads": []}, {"encoder__heads": [10**25]}, {"encoder__width": 0}, {"encoder__width": -1},
     {"encoder__width": 2**40}, {"encoder__width": 10**30}, {"encoder__mlp_width": 10**37},
-    {"encoder__mlp_width": 10**400}, {"encoder__depth": []}, {"encoder__depth": [10**9]},
+    {"encoder__mlp_width": 10**400}, {"encoder__depth": [0]}, {"encoder__depth": [10**9]},
     {"encoder__size": [10**18, 10**18]}, {"encoder__size": [0, 0]}, {"encoder__channels": [10**30] * 4},
     {"encoder__name": "resnet50"}, {"encoder__name": "vit_base_patch16_384"}, {"encoder__name": ""},
     {"decoder__features": 10**30}, {"decoder__widths": [2**40] * 4}, {"head__bottleneck_factor": 0},

@@ -103,20 +103,24 @@ setattr(_Rehearsal, "dispatch", {**_Rehearsal.dispatch, pickle.EMPTY_SET[0]: _re
 
 
 class _Allocation(_Placeholder):
-    """Stand-in for the types that allocate as much as they are told to. Sound files name them, or give a text."""
+    """Stand-in for the types that allocate as much as they are told to. Sound files only name them, or give bytes."""
 
     def __new__(cls, *arguments: object) -> "_Allocation":
         """Refuse to be made of a size."""
-        if arguments and not isinstance(arguments[0], str):
+        if arguments and not isinstance(arguments[0], str | _Bytes):
             raise ValueError("it would allocate memory that is not in the file")
         return super().__new__(cls)
 
 
-def _check_encode(text: str, encoding: str) -> _Placeholder:
-    # numpy writes bytes this way.
+class _Bytes(_Placeholder):
+    """Stand-in for bytes."""
+
+
+def _check_encode(text: str, encoding: str) -> _Bytes:
+    # Python writes bytes this way.
     if not isinstance(text, str) or encoding != "latin1":
         raise ValueError(f"it encodes to {str(encoding)[:20]!r}")
-    return _Placeholder()
+    return _Bytes()
 
 
 def _read_torch(path: Path) -> dict[str, Tensor]:
