@@ -1,17 +1,24 @@
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import torch
 
-from zoedepth.config import BaselineConfig, Domain, DornConfig
+from zoedepth.config import BaselineConfig, Domain, DornConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import BASELINES, ENCODERS, PRESETS, with_compat, with_encoder, with_head
 
 
-def n_parameters(name: str) -> int:
+@cache
+def parameters_of(config: ModelConfig) -> int:
     with torch.device("meta"):
-        return sum(p.numel() for p in ZoeDepth(PRESETS[name]).parameters())
+        return sum(p.numel() for p in ZoeDepth(config).parameters())
+
+
+def n_parameters(name: str) -> int:
+    """The number of parameters of a preset; many presets have equal configs, which are built once."""
+    return parameters_of(PRESETS[name])
 
 
 # The checkpoints hold a first residual unit in the coarsest fusion block, which has no skip to apply it to: two 3x3

@@ -1,18 +1,18 @@
-"""The exceptions of the package: one family, each message saying what was wrong and what to do."""
+"""The exceptions of the package. Each message says what is wrong and what to do."""
 
 from __future__ import annotations
 
 
 class ZoeDepthError(Exception):
-    """Base of every error raised on purpose; catch it to tell them from bugs."""
+    """Base of every error that is raised on purpose. Catch it to tell such errors from bugs."""
 
 
 class InputError(ZoeDepthError, ValueError):
-    """The caller's file, array or option cannot be used; the message names it and says how to mend it."""
+    """A file, array or option cannot be used. The message names it and says how to mend it."""
 
 
 class TrainingError(ZoeDepthError):
-    """A training cannot go on; the message says what happened, at which step and with which images."""
+    """A training cannot go on. The message says what happened, at which step and with which images."""
 
 
 class MissingExtraError(ZoeDepthError, ImportError):
@@ -29,5 +29,5 @@ class MissingExtraError(ZoeDepthError, ImportError):
         self.feature = feature
 
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
-        # Exceptions are rebuilt from ``args`` (the message) when they cross a process border; this one takes two.
+        # Between processes, exceptions are rebuilt from ``args`` (the message), but this one takes two arguments.
         return type(self), (self.extra, self.feature)

@@ -1,7 +1,7 @@
 """Losses: functions of tensors, computed in float32 whatever the autocast.
 
-Predictions and targets are (batch, 1, height, width); masks are boolean and of the same shape, True where the target is
-known. Every loss is 0 (with a gradient of 0) where nothing is known.
+Predictions and targets are (batch, 1, height, width). Masks are boolean, have the same shape, and are True where the
+target is known. If nothing is known, every loss is 0, and so is its gradient.
 """
 
 import math
@@ -20,16 +20,16 @@ Total = Callable[[Tensor], Tensor]
 
 
 def alone(x: Tensor) -> Tensor:
-    """The sum over all processes where there is one: the tensor itself."""
+    """Sum over all processes where there is only one: return the tensor itself."""
     return x
 
 
 def silog(
     prediction: Map, target: Map, mask: Mask, *, beta: float = 0.15, eps: float = 1e-7, total: Total = alone
 ) -> Float[Tensor, ""]:
-    """Scale-invariant log loss: 10 sqrt(var(g) + beta mean(g)^2), g = ln(prediction) - ln(target), both in metres.
+    """Compute the scale-invariant log loss: 10 sqrt(var(g) + beta mean(g)^2), g = ln(prediction) - ln(target).
 
-    The statistics are those of all known pixels of the batch together; the variance is the unbiased one. (Released
+    The statistics are taken over all known pixels of the batch together; the variance is unbiased. (Released
     ``trainers/loss.py::SILogLoss``; beta = 0.15 is lambda = 0.85 of Eigen et al.)
 
     Args:
@@ -38,7 +38,7 @@ def silog(
         mask: True where the target is known.
         beta: weight of the squared mean.
         eps: added before the logarithms.
-        total: sums a tensor over all processes, so that the batch is that of all of them.
+        total: sums a tensor over all processes, so that all their images are one batch.
     """
     known = mask.flatten()
     n = total(known.sum().float())
@@ -46,7 +46,7 @@ def silog(
         return 0 * prediction.float().sum()
     g = torch.log(prediction.float().flatten()[known] + eps) - torch.log(target.float().flatten()[known] + eps)
     mean = total(g.sum()) / n
-    # The variance has no slope in the mean; detached, this process' share of that slope is 0 as well.
+    # The variance has no slope in the mean. Without detach, this process would see its own share of that slope.
     variance = total((g - mean.detach()).square().sum()) / (n - 1)
     # 1e-8: the square root has an infinite slope at 0.
     return 10 * torch.sqrt(variance + beta * mean**2 + 1e-8)
@@ -60,14 +60,14 @@ def ordinal(
     *,
     total: Total = alone,
 ) -> Float[Tensor, ""]:
-    """DORN's loss: over all known pixels, the mean of the binary cross-entropies, summed over the intervals.
+    """Compute DORN's loss: binary cross-entropies summed over the intervals, their mean over all known pixels.
 
-    Logit k is that of the depth lying beyond interval k. (Fu et al. 2018, Eqs. 3 and 4, with one logit an interval in
-    place of a softmax over two, which is the same.)
+    Logit k says that the depth lies beyond interval k. (Fu et al. 2018, Eqs. 3 and 4, with one logit for each interval
+    in place of a softmax over two, which is the same.)
 
     Args:
-        logits: of the probabilities, at any resolution; the target is read at the pixels nearest to theirs.
-        edges: metres: where the intervals of each image begin and end.
+        logits: logits of the probabilities, at any resolution; the target is read at the pixels nearest to theirs.
+        edges: where the intervals of each image begin and end, metres.
         target: metres.
         mask: True where the target is known.
         total: see ``silog``.
@@ -85,16 +85,16 @@ def ordinal(
 def bins_chamfer(
     centers: Float[Tensor, "batch bins"], target: Map, mask: Mask, *, max_points: int = 2**14, total: Total = alone
 ) -> Float[Tensor, ""]:
-    """AdaBins' loss of bin centers: the ``chamfer`` distance to the true depths of the image.
+    """Compute AdaBins' loss of bin centers: their ``chamfer`` distance to the true depths of the image.
 
-    The mean over the images, of all processes, of which any depth is known. (Bhat et al. 2021, Eq. 5; AdaBins
+    It is the mean over the images, of all processes, that have a known depth. (Bhat et al. 2021, Eq. 5; AdaBins
     ``loss.py::BinsChamferLoss``.)
 
     Args:
-        centers: metres: bin centers of the whole image, in any order.
+        centers: bin centers of the whole image, metres, in any order.
         target: metres.
         mask: True where the target is known.
-        max_points: an image with more known pixels is represented by so many of them, evenly spread.
+        max_points: an image with more known pixels is represented by this number of them, evenly spread.
         total: see ``silog``.
     """
     losses = []
@@ -121,20 +121,20 @@ def window_bins_chamfer(
     gamma: float = 0.3,
     total: Total = alone,
 ) -> Float[Tensor, ""]:
-    """LocalBins' loss of local histograms: the ``chamfer`` distance of windows' bins to the true depths inside.
+    """Compute LocalBins' loss of local histograms: the ``chamfer`` distance of windows' bins to the depths inside.
 
-    Windows count where more than half of their pixels are known. The mean over the windows of one size; over the sizes
-    the mean with weights 1 for the smallest, gamma for the next, gamma ** 2, ..., but none for a size without windows
-    that count; over the levels the sum with weights 1 for the finest, gamma for the one before, ... (Bhat et al. 2022;
-    LocalBins ``loss.py::MultiScaleBinsLossV5``.)
+    A window counts if more than half of its pixels are known. The loss is the mean over the windows of one size; then
+    the mean over the sizes that have such windows, with weights 1 for the smallest, gamma for the next, gamma ** 2 and
+    so on; then the sum over the levels, with weights 1 for the finest, gamma for the one before and so on. (Bhat et al.
+    2022; LocalBins ``loss.py::MultiScaleBinsLossV5``.)
 
     Args:
         boxes: left, top, right, bottom, as fractions of the image; smallest windows first, as many of each size.
-        centers: metres: bin centers of each window, from the coarsest level to the finest.
+        centers: bin centers of each window, metres, from the coarsest level to the finest.
         target: metres.
         mask: True where the target is known.
         n_sizes: number of sizes of windows.
-        gamma: what the weights decrease by.
+        gamma: factor between the weights of one size, or level, and the next.
         total: see ``silog``.
     """
     sums, counts = [], []
@@ -153,19 +153,19 @@ def window_bins_chamfer(
 def chamfer(
     centers: Float[Tensor, "rows bins"], points: Float[Tensor, "rows points"], known: Bool[Tensor, "rows points"]
 ) -> Float[Tensor, " rows"]:
-    """Mean squared distance of the centers to their nearest point, plus that of the points to their nearest center.
+    """Add the mean squared distances of the centers to their nearest point, and of the points to their nearest center.
 
-    Those of a line can be sorted, so that n log n does for what takes n ** 2 in space.
+    Centers and points lie on a line and can be sorted, so that n log n steps do what takes n ** 2 in space.
 
     Args:
-        centers: of each row; the loss has a gradient in them.
-        points: of each row.
-        known: which of them there are. A row may have none: its loss is finite then, and means nothing.
+        centers: centers of each row; the loss has a gradient in them.
+        points: points of each row.
+        known: True where there is a point. The loss of a row without points is finite, but means nothing.
     """
     with torch.autocast(centers.device.type, enabled=False):
         centers = centers.float().sort(dim=1).values
         n = known.sum(dim=1)
-        # What is unknown becomes one more of the largest: no distance to the nearest changes.
+        # Unknown points become copies of the largest one: no distance to the nearest point changes.
         points = torch.where(known, points.float(), -torch.inf)
         largest = torch.where(n > 0, points.amax(dim=1), 0)[:, None]
         points = torch.where(known, points, largest).sort(dim=1).values
@@ -178,7 +178,7 @@ def chamfer(
 def _nearest(
     values: Float[Tensor, "rows values"], queries: Float[Tensor, "rows queries"]
 ) -> Float[Tensor, "rows queries"]:
-    """The nearest of the values, which are sorted, to each query of the same row."""
+    """Return, for each query, the nearest of the sorted values in its row."""
     after = torch.searchsorted(values.detach(), queries.detach()).clamp(max=values.shape[1] - 1)
     above, below = values.gather(1, after), values.gather(1, (after - 1).clamp(min=0))
     return torch.where((queries - below).abs() <= (above - queries).abs(), below, above)
@@ -187,7 +187,7 @@ def _nearest(
 def _inside(
     boxes: Float[Tensor, "batch windows 4"], target: Map, mask: Mask
 ) -> tuple[Float[Tensor, "batch windows points"], Bool[Tensor, "batch windows points"]]:
-    """Depths, and which are known, at the pixels inside of boxes that are all of one size."""
+    """Return the depths at the pixels inside boxes of one size, and True where they are known."""
     height, width = target.shape[-2:]
     left, top, right, bottom = boxes.unbind(dim=2)
     sides = torch.stack([(bottom - top)[0, 0] * height, (right - left)[0, 0] * width]).tolist()
@@ -205,7 +205,7 @@ def _inside(
 
 
 def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:
-    """Cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
+    """Compute the cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
     return F.cross_entropy(logits.float(), domain)
 
 
@@ -219,21 +219,21 @@ def scale_and_shift_invariant(
     n_scales: int = 4,
     min_pixels: int = 100,
 ) -> tuple[Float[Tensor, " batch"], Bool[Tensor, " batch"]]:
-    """The MiDaS loss of stage 1, on disparity: trimmed absolute error plus multi-scale gradients, of each image.
+    """Compute the MiDaS loss of stage 1 for each image, on disparity: trimmed absolute error and multi-scale gradients.
 
-    Both maps of an image are first freed of scale and shift by ``normalize_robust``. (Ranftl et al. 2020.)
+    ``normalize_robust`` first frees both maps of an image of scale and shift. (Ranftl et al. 2020.)
 
     Args:
         prediction: relative depth (inverse depth up to scale and shift).
         target: disparity, in any affine unit.
         mask: True where the target is known.
-        trim: share of the largest residuals of each image that is ignored.
-        gradient_weight: weight of the gradient term (alpha in MiDaS), one for all or one an image.
+        trim: share of the residuals of each image that is ignored, the largest ones.
+        gradient_weight: weight of the gradient term (alpha in MiDaS), one for all images or one for each.
         n_scales: number of scales of the gradient term.
         min_pixels: images with fewer known pixels are left out.
 
     Returns:
-        The loss of each image, 0 for those left out; and which are not.
+        The loss of each image, 0 for those left out; and True for the images that count.
     """
     weights = torch.as_tensor(gradient_weight, device=prediction.device).expand(len(prediction)).tolist()
     counted = mask.flatten(1).sum(1) >= min_pixels
@@ -255,14 +255,14 @@ def scale_and_shift_invariant(
 def mean_counted(
     losses: Float[Tensor, " batch"], counted: Bool[Tensor, " batch"], *, total: Total = alone
 ) -> Float[Tensor, ""]:
-    """Mean of the losses of the images that count, of all processes."""
+    """Average the losses of the images that count, over all processes."""
     return total((losses * counted).sum()) / total(counted.sum().float()).clamp(min=1)
 
 
 def normalize_robust(
     x: Float[Tensor, "1 height width"], mask: Bool[Tensor, "1 height width"]
 ) -> Float[Tensor, "1 height width"]:
-    """(x - t) / s with t the median of the known pixels and s their mean absolute deviation from it."""
+    """Compute (x - t) / s, with t the median of the known pixels and s their mean absolute deviation from it."""
     known = x[mask]
     shift = known.median()
     scale = (known - shift).abs().mean().clamp(min=1e-6)
@@ -270,9 +270,9 @@ def normalize_robust(
 
 
 def trimmed_absolute_error(residual: Float[Tensor, " pixels"], *, trim: float) -> Float[Tensor, ""]:
-    """Sum of the smallest (1 - trim) of the absolute residuals, over twice the number of all of them."""
+    """Sum the smallest (1 - trim) of the absolute residuals, and divide by twice the number of all of them."""
     if not 0 <= trim < 1:
-        raise InputError(f"trim must be in [0, 1); it is {trim}")
+        raise InputError(f"trim is {trim}. It must be at least 0 and less than 1.")
     n_kept = residual.numel() - math.ceil(trim * residual.numel() - 1e-9)  # 1e-9: 0.9 * 10 is 9, not 9.0000001
     kept = residual.abs().topk(n_kept, largest=False, sorted=False).values
     return kept.sum() / (2 * residual.numel())
@@ -281,11 +281,11 @@ def trimmed_absolute_error(residual: Float[Tensor, " pixels"], *, trim: float) -
 def gradient_error(
     residual: Float[Tensor, "height width"], mask: Bool[Tensor, "height width"], *, n_scales: int
 ) -> Float[Tensor, ""]:
-    """Mean absolute differences of the residual between neighbours, summed over scales of stride 1, 2, 4, ...
+    """Average the absolute differences of the residual between neighbours, and add up strides 1, 2, 4 and so on.
 
     A difference counts where both neighbours are known; each scale is divided by its number of known pixels.
     """
-    residual = residual.masked_fill(~mask, 0)  # what is unknown may be anything, NaN too
+    residual = residual.masked_fill(~mask, 0)  # unknown pixels may hold anything, even NaN
     total = torch.zeros((), dtype=residual.dtype, device=residual.device)
     for scale in range(n_scales):
         r, m = residual[:: 2**scale, :: 2**scale], mask[:: 2**scale, :: 2**scale]

@@ -1,4 +1,4 @@
-"""The field's metrics, in float64: of an image, as a mean over images (the paper's), or over all pixels at once."""
+"""The field's metrics, in float64: for one image, as a mean over images (the paper's way), or over all pixels."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from zoedepth.errors import InputError
 
 @dataclass(frozen=True)
 class Metrics:
-    """Errors of one image, of a set of pixels, or their means over images."""
+    """Errors of one image or of a set of pixels, or their means over images."""
 
     rel: float
     """Mean of |truth - prediction| / truth."""
@@ -23,11 +23,11 @@ class Metrics:
     delta1: float
     """Share of pixels with max(truth / prediction, prediction / truth) < 1.25."""
     delta2: float
-    """The same below 1.25 ** 2."""
+    """Share of pixels with that ratio below 1.25 ** 2."""
     delta3: float
-    """The same below 1.25 ** 3."""
+    """Share of pixels with that ratio below 1.25 ** 3."""
     silog: float
-    """100 times the standard deviation of ln prediction - ln truth: the error that no factor mends."""
+    """100 times the standard deviation of ln prediction - ln truth: the error that no factor could remove."""
     sq_rel: float
     """Mean of (truth - prediction) ** 2 / truth, metres."""
     rmse_log: float
@@ -38,7 +38,7 @@ HEADINGS = {
     "rel": "REL", "rmse": "RMSE (m)", "log10": "log10", "delta1": "delta1", "delta2": "delta2", "delta3": "delta3",
     "silog": "SILog", "sq_rel": "SqRel (m)", "rmse_log": "RMSE log",
 }  # fmt: skip
-"""What the columns of tables are called, with units."""
+"""Column headings of tables, with units."""
 
 HIGHER_IS_BETTER = frozenset({"delta1", "delta2", "delta3"})
 """Metrics that measure agreement; the others measure error."""
@@ -46,7 +46,7 @@ HIGHER_IS_BETTER = frozenset({"delta1", "delta2", "delta3"})
 
 @dataclass(frozen=True)
 class Sums:
-    """What the metrics of a set of pixels are made of: those of two sets give those of both, whoever computed them."""
+    """Sums that the metrics of a set of pixels are made of. ``add_sums`` joins those of several sets."""
 
     n_pixels: int = 0
     rel: float = 0.0
@@ -61,14 +61,14 @@ class Sums:
     sq_rel: float = 0.0
 
     def metrics(self) -> Metrics:
-        """The metrics of these pixels.
+        """Compute the metrics of these pixels.
 
         Raises:
-            InputError: there are none.
+            InputError: there are no pixels.
         """
         n = self.n_pixels
         if not n:
-            raise InputError("no pixel to score")
+            raise InputError("there is no pixel to score: no depth is known in the range and crop that are scored")
         variance = self.log_deviation / n
         return Metrics(
             rel=self.rel / n,
@@ -84,17 +84,19 @@ class Sums:
 
 
 def pixel_sums(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]) -> Sums:
-    """Sums over the known pixels of one image, both in metres and > 0.
+    """Sum up the errors of the known pixels of one image, both maps in metres and > 0.
 
     Raises:
         InputError: different numbers of pixels, or values that are not finite and positive.
     """
     prediction, truth = prediction.astype(np.float64), truth.astype(np.float64)
     if prediction.shape != truth.shape or prediction.ndim != 1:
-        raise InputError(f"need two equally long lists of pixels; got {prediction.shape} and {truth.shape}")
+        raise InputError(
+            f"prediction and truth must be two lists of the same pixels; got {prediction.shape} and {truth.shape}"
+        )
     for name, values in (("prediction", prediction), ("truth", truth)):
         if not (np.isfinite(values) & (values > 0)).all():
-            raise InputError(f"the {name} must be finite and > 0 metres at every pixel that is scored")
+            raise InputError(f"the {name} must be finite and > 0 metres at every pixel that is scored; mask the others")
     error = prediction - truth
     log = np.log(prediction) - np.log(truth)
     ratio = np.maximum(truth / prediction, prediction / truth)
@@ -107,14 +109,14 @@ def pixel_sums(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray
         delta2=int(np.sum(ratio < 1.25**2)),
         delta3=int(np.sum(ratio < 1.25**3)),
         log=float(np.sum(log)),
-        # Not sum(log ** 2) - n mean ** 2, which leaves 1e-7 of an error that is one factor everywhere.
+        # sum(log ** 2) - n mean ** 2 would be wrong by 1e-7 where the prediction is off by one factor everywhere.
         log_deviation=float(np.sum((log - log.mean()) ** 2)) if len(log) else 0.0,
         sq_rel=float(np.sum(error**2 / truth)),
     )
 
 
 def compute_metrics(prediction: Float[np.ndarray, " pixels"], truth: Float[np.ndarray, " pixels"]) -> Metrics:
-    """Errors of the known pixels of one image, both in metres and > 0.
+    """Compute the errors of the known pixels of one image, both maps in metres and > 0.
 
     Raises:
         InputError: no pixels, different numbers of them, or values that are not finite and positive.
@@ -123,10 +125,10 @@ def compute_metrics(prediction: Float[np.ndarray, " pixels"], truth: Float[np.nd
 
 
 def mean_metrics(images: Sequence[Metrics]) -> Metrics:
-    """Mean over images, as the paper reports them. Exact: the order of the images does not matter.
+    """Average over images, as the paper does. The sum is exact: the order of the images does not matter.
 
     Raises:
-        InputError: there are none.
+        InputError: there are no images.
     """
     if not images:
         raise InputError("no image to average: none has a known pixel under this protocol")
@@ -135,7 +137,7 @@ def mean_metrics(images: Sequence[Metrics]) -> Metrics:
 
 
 def pooled_metrics(images: Sequence[Sums]) -> Metrics:
-    """Metrics of all pixels of all images at once: an image counts by its known pixels. Exact in any order.
+    """Compute the metrics of all pixels of all images at once, exactly and in any order.
 
     Raises:
         InputError: there is no pixel.
@@ -144,7 +146,7 @@ def pooled_metrics(images: Sequence[Sums]) -> Metrics:
 
 
 def add_sums(sums: Sequence[Sums]) -> Sums:
-    """The sums of all sets together, whatever their order."""
+    """Join the sums of several sets of pixels, whatever their order."""
     columns = {f.name: [getattr(one, f.name) for one in sums] for f in fields(Sums)}
     totals = {name: sum(values) if name in _COUNTS else math.fsum(values) for name, values in columns.items()}
     mean = totals["log"] / max(totals["n_pixels"], 1)

@@ -1,9 +1,9 @@
 """Many tasks, one network: the weights under which a step makes none of them worse (MGDA).
 
-With g_l the gradient of the loss of task l, the weights c >= 0 of sum 1 that minimise ‖Σ c_l g_l‖² give a direction
-that descends for all tasks, or 0 where none does: a Pareto-optimal point. (Sener & Koltun 2018, Multi-Task Learning as
-Multi-Objective Optimization, Eq. 3 and Algorithm 2; MiDaS mixes its data sets so, paper section 3.1.) Only the products
-G_kl = g_k · g_l matter.
+Let g_l be the gradient of the loss of task l. The weights c >= 0 of sum 1 that minimise ‖Σ c_l g_l‖² give a direction
+that descends for all tasks, or 0 where no direction does: a Pareto-optimal point. (Sener & Koltun 2018, Multi-Task
+Learning as Multi-Objective Optimization, Eq. 3 and Algorithm 2; MiDaS weighs its data sets this way, paper section
+3.1.) Only the products G_kl = g_k · g_l matter.
 """
 
 from typing import Literal
@@ -15,23 +15,24 @@ from torch import Tensor
 from zoedepth.errors import InputError
 
 Normalizer = Literal["none", "l2", "loss", "loss+"]
-"""What each gradient is divided by first: nothing, its norm, its loss, or both."""
+"""The divisor of each gradient: 1, its norm, its loss, or both."""
 
 
 def min_norm_weights(
     gram: Float[Tensor, "tasks tasks"], *, max_iterations: int = 250, tolerance: float = 1e-5
 ) -> Float[Tensor, " tasks"]:
-    """The weights of the shortest vector in the convex hull of the gradients, from their products.
+    """Find the weights of the shortest vector in the convex hull of the gradients, from their products.
 
-    Two tasks: in closed form. More: Frank-Wolfe from the best pair, each step moving weight from the task whose
-    gradient the mixture follows most to the one it follows least, as far as it helps (Lacoste-Julien & Jaggi 2015,
-    pairwise; without that, as in Sener & Koltun's code, weights may be off by 0.02 after its 250 iterations).
+    Two tasks have a closed form. More are solved by pairwise Frank-Wolfe from the best pair: each step moves weight
+    from the task whose gradient the mixture follows most to the one it follows least, as far as that helps
+    (Lacoste-Julien & Jaggi 2015). Steps that are not pairwise, as in Sener & Koltun's code, leave weights off by up to
+    0.02 after its 250 iterations.
 
     Args:
         gram: products of the gradients, symmetric.
-        max_iterations: of Frank-Wolfe.
-        tolerance: it ends when those two gradients' products with the mixture differ by less, as a share of the
-            mixture's squared norm.
+        max_iterations: largest number of Frank-Wolfe's steps.
+        tolerance: the steps end when those two gradients' products with the mixture differ by less than this share of
+            the mixture's squared norm.
 
     Returns:
         float64, >= 0, sum 1.
@@ -41,7 +42,10 @@ def min_norm_weights(
     """
     gram = gram.double()
     if not gram.isfinite().all():
-        raise InputError("the products of the tasks' gradients are not finite")
+        raise InputError(
+            "the products of the tasks' gradients are not finite: a loss or a gradient has overflowed. "
+            "Lower the learning rate, or train in float32."
+        )
     n = len(gram)
     weights = torch.zeros(n, dtype=torch.float64, device=gram.device)
     if n == 1:
@@ -74,7 +78,7 @@ def min_norm_weights(
 
 
 def _first_share(v11: Tensor, v12: Tensor, v22: Tensor) -> Tensor:
-    """The share of the first of two vectors in the shortest of their mixtures, from their products."""
+    """Return the share of the first of two vectors in their shortest mixture, from their products."""
     if v12 >= v11:
         return torch.ones_like(v11)
     if v12 >= v22:
@@ -85,7 +89,7 @@ def _first_share(v11: Tensor, v12: Tensor, v22: Tensor) -> Tensor:
 def normalized(
     gram: Float[Tensor, "tasks tasks"], losses: Float[Tensor, " tasks"], normalizer: Normalizer
 ) -> Float[Tensor, "tasks tasks"]:
-    """The products of the gradients after each is divided by its normalizer."""
+    """Return the products of the gradients after each gradient is divided by its normalizer."""
     scale = torch.ones_like(losses, dtype=torch.float64)
     if normalizer in ("l2", "loss+"):
         scale = scale * gram.diagonal().double().clamp(min=1e-30).sqrt()

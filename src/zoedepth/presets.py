@@ -1,4 +1,7 @@
-"""The models of the paper, of the released checkpoints, and of this package, by name. Nothing here imports torch."""
+"""The models of the paper, of the released checkpoints, and of this package, by name.
+
+This file does not import torch.
+"""
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -60,8 +63,8 @@ ENCODERS: dict[str, EncoderConfig] = {
 
 _BEIT_L = ENCODERS["beit_large_patch16_384"]
 
-# A model that we train follows the paper; a model whose weights were released follows the weights. The values in which
-# the two differ are here and in docs/paper.md, and nowhere else.
+# A model that we train follows the paper; a model with released weights follows the weights. The values in which the
+# two differ are here and in docs/paper.md, and nowhere else.
 _PAPER_N = ModelConfig(_BEIT_L)
 _PAPER_K = ModelConfig(_BEIT_L, domains=(OUTDOOR,), size=(384, 768))
 _PAPER_NK = ModelConfig(_BEIT_L, domains=(INDOOR, OUTDOOR))
@@ -84,7 +87,7 @@ _RELEASED_NK = replace(
 
 
 def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
-    """A config with another encoder of ``ENCODERS``, at the only size a Swin takes.
+    """Change the encoder of a config; a Swin also changes the size, to the only one it takes.
 
     Raises:
         InputError: there is no such encoder.
@@ -96,7 +99,9 @@ def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
 
 
 def with_head(config: ModelConfig, name: str) -> ModelConfig:
-    """A config with another metric head, of the values the paper compares it with; its own head keeps its values.
+    """Change the metric head of a config, with the values that the paper compares it with.
+
+    A head that the config has already keeps its values.
 
     Raises:
         InputError: there is no such head.
@@ -152,10 +157,10 @@ PRESETS: dict[str, ModelConfig] = {
     "zoed-m12-n-beit-l-512": with_encoder(_PAPER_N, "beit_large_patch16_512"),
     "zoed-m12-n-efficientnet-b5": with_encoder(_PAPER_N, "tf_efficientnet_b5"),
     "zoed-lite": ZOED_LITE,
-    # MiDaS v3.1, the result of its relative pre-training: what stage 2 of the released models started from.
+    # MiDaS v3.1 after its relative pre-training: stage 2 of the released models started from it.
     "dpt-beit-large-384": ModelConfig(_BEIT_L, domains=(), size=(384, 384)),
 }
-"""Name → architecture. ``pretrained.py`` knows which of them have weights, and where."""
+"""Name → architecture. ``weights/releases.py`` knows which of them have weights, and where."""
 
 
 # --- the systems the paper compares with ------------------------------------------------------------------------------
@@ -182,7 +187,7 @@ BASELINES: dict[str, BaselineConfig] = {
     ),
     "dorn-nk": BaselineConfig(DornNetworkConfig(n_intervals=80), domains=(_ANY,), size=(257, 353)),
 }
-"""Name → architecture of the baselines, as published, for NYU (n), KITTI (k) and both (nk)."""
+"""Name → architecture of the baselines, as their authors built them, for NYU (n), KITTI (k) and both (nk)."""
 
 
 # --- the released code's behaviour ------------------------------------------------------------------------------------
@@ -190,21 +195,27 @@ BASELINES: dict[str, BaselineConfig] = {
 
 def _batch_vote(config: AnyModelConfig) -> AnyModelConfig:
     if not isinstance(config, ModelConfig) or len(config.domains) < 2 or config.router.kind != "trained":
-        raise InputError("compat 'batch-vote' is for models whose trained router chooses between several heads")
+        raise InputError(
+            "compat 'batch-vote' is for models whose trained router chooses between several heads. Leave it out."
+        )
     return replace(config, router=replace(config.router, vote="batch"))
 
 
 def _ten_metres(config: AnyModelConfig) -> AnyModelConfig:
     head = config.head if isinstance(config, ModelConfig) else None
     if len(config.domains) != 1 or not isinstance(head, AttractorConfig) or head.centers != "normed":
-        raise InputError("compat '10m' is for ZoeD-K: one head with normed centers, the only ones a range changes")
+        raise InputError(
+            "compat '10m' is for ZoeD-K: one head with normed centers, which alone depend on a range. Leave it out."
+        )
     domain = config.domains[0]
     return replace(config, domains=(replace(domain, min_depth=INDOOR.min_depth, max_depth=INDOOR.max_depth),))
 
 
 def _eighty_metres(config: AnyModelConfig) -> AnyModelConfig:
     if not isinstance(config, BaselineConfig):
-        raise InputError("compat '80m' is for checkpoints of the baselines, which do not say their range")
+        raise InputError(
+            "compat '80m' is for checkpoints of the baselines, which do not name their range. Leave it out."
+        )
     return replace(config, domains=(OUTDOOR,))
 
 
@@ -218,16 +229,16 @@ COMPAT: dict[str, Callable[[AnyModelConfig], AnyModelConfig]] = {
     "80m": _eighty_metres,
     "squeeze": _squeeze,
 }
-"""What the released code does and we do not, by name; for comparing with its numbers.
+"""Behaviour of the released code that this package does not have, by name; for comparing with its numbers.
 
 batch-vote: one head for the whole batch. 10m: ZoeD-K as loaded without naming a data set, 8 times too near. 80m: a
-baseline's checkpoint of KITTI; the files do not say, and are taken for NYU's. squeeze: photos are resized to exactly
-the trained size, whatever their proportions (its "eval" mode).
+baseline's checkpoint of KITTI; the files do not name their data set, and are taken for NYU's. squeeze: photos are
+resized to exactly the trained size, whatever their proportions (its "eval" mode).
 """
 
 
 def with_compat(config: AnyModelConfig, names: Iterable[str]) -> AnyModelConfig:
-    """A config with the named behaviours of the released code.
+    """Give a config the named behaviours of the released code.
 
     Raises:
         InputError: a name is unknown, or this model has no such behaviour.
