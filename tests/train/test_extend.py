@@ -18,7 +18,10 @@ def test_known_domains_within_their_range_change_nothing(tiny_config):
     assert extended_config(tiny_config, {"indoor": 7.3}) == tiny_config
 
 
-@pytest.mark.parametrize(("far", "expected"), [(10.4, 20.0), (19.9, 20.0), (20.0, 20.0), (61.0, 80.0), (101.0, 200.0)])
+@pytest.mark.parametrize(
+    ("far", "expected"),
+    [(30.000000000000004, 30.0), (10.4, 20.0), (19.9, 20.0), (20.0, 20.0), (61.0, 80.0), (101.0, 200.0)],
+)
 def test_range_grows_to_a_round_number(tiny_config, far: float, expected: float):
     config = extended_config(tiny_config, {"indoor": far})
     assert config.domains == (replace(INDOOR, max_depth=expected), OUTDOOR)

@@ -5,6 +5,7 @@ import shutil
 import signal
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Literal
 
 import pytest
@@ -18,8 +19,10 @@ from zoedepth.data.sample import Batch, Sample
 from zoedepth.errors import InputError, TrainingError
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.presets import PRESETS
+from zoedepth.train import metric, relative
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import metric_losses, train_metric
+from zoedepth.train.relative import train_relative
 from zoedepth.train.state import checkpoints
 from zoedepth.weights.load import load_model, save_model
 
@@ -107,12 +110,40 @@ def test_loss_terms_are_those_of_the_batch() -> None:
 
 @pytest.mark.parametrize("kind", ["labeled", "auto"])
 def test_other_routers_train(
-    make_config: MakeConfig, tiny_config: ModelConfig, data: Data, tmp_path: Path, kind: Literal["labeled", "auto"]
-) -> None:
+    make_config: MakeConfig, tiny_config: ModelConfig, data: Data, tmp_path: Path, kind: Literal["labeled", "auto"],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     model = dataclasses.replace(tiny_config, router=RouterConfig(kind, width=16))
-    config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0)
+    config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0, pictures=0)
+    labels: list[object] = []
+    forward = ZoeDepth.forward
+
+    def spy(self: ZoeDepth, pixels: torch.Tensor, domain: torch.Tensor | None = None) -> DepthOutput:
+        labels.append(domain if domain is None else domain.tolist())
+        return forward(self, pixels, domain=domain)
+
+    monkeypatch.setattr(ZoeDepth, "forward", spy)
     train_metric(config, data=data, out=tmp_path, init=None)
+    assert labels == [[0, 1] if kind == "labeled" else None] * 2
     assert [set(line) & {"train/silog", "train/domain"} for line in log_of(tmp_path)] == [{"train/silog"}] * 2
+
+
+@pytest.mark.parametrize("stage", [metric, relative])
+def test_processes_exchange_gradients_once_a_step(
+    make_config: MakeConfig, data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: ModuleType
+) -> None:
+    complete: list[bool] = []
+    original = stage.backward
+
+    def spy(*arguments: object, **keywords: bool) -> None:
+        complete.append(keywords["complete"])
+        original(*arguments, **keywords)
+
+    monkeypatch.setattr(stage, "backward", spy)
+    name = "metric" if stage is metric else "relative"
+    train = train_metric if stage is metric else train_relative
+    train(make_config(name, batch_size=6, accumulate=3, steps=2, pictures=0), data=data, out=tmp_path)
+    assert complete == [False, False, True] * 2
 
 
 def test_model_of_one_domain_trains_on_any_data(

@@ -131,7 +131,8 @@ def test_factor_of_zero_freezes_its_part_and_no_other(tiny_config: ModelConfig, 
 
 
 def test_weights_decay_as_configured(tiny_model: ZoeDepth) -> None:
-    optimizer = build_optimizer(tiny_model, OptimConfig(weight_decay=0.125, momentum=(0.5, 0.75)))
+    optimizer = build_optimizer(tiny_model, OptimConfig(weight_decay=0.125, momentum=(0.5, 0.75), eps=1e-3))
+    assert {group["eps"] for group in optimizer.param_groups} == {1e-3}
     assert {group["weight_decay"] for group in optimizer.param_groups} == {0.125}
     assert {group["betas"] for group in optimizer.param_groups} == {(0.75, 0.999)}
 
@@ -176,3 +177,12 @@ def test_frozen_parameters_stay(tiny_config: ModelConfig) -> None:
     }  # fmt: skip
     given = {id(parameter) for group in optimizer.param_groups for parameter in group["params"]}
     assert given == {id(parameter) for parameter in model.parameters() if parameter.requires_grad}
+
+
+def test_constant_rates_have_the_higher_momentum() -> None:
+    config = OptimConfig(learning_rate=0.5, schedule="constant", momentum=(0.7, 0.8))
+    optimizer = torch.optim.AdamW([{"params": [nn.Parameter(torch.zeros(1))], "factor": 0.25}])
+    for step in (0, 9):
+        set_rates(optimizer, step, 10, config)
+        assert optimizer.param_groups[0]["lr"] == 0.125
+        assert optimizer.param_groups[0]["betas"][0] == 0.8

@@ -18,6 +18,7 @@ from zoedepth.data.sample import Sample
 from zoedepth.errors import TrainingError
 from zoedepth.losses import mean_counted, scale_and_shift_invariant
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.train import relative
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import RelativeModel, train_relative
@@ -255,6 +256,22 @@ def test_pareto_weights_are_solved_for_again_where_a_data_set_has_none(
         assert sum(present) == pytest.approx(1, abs=1e-5)
     kept = torch.load(last / "train.pt", weights_only=True)["task_weights"]
     assert kept.isnan().sum() == 1
+
+
+def test_pareto_weights_of_the_data_sets_in_a_batch_add_up_to_one(
+    make_config: MakeConfig, all_data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second batch has two of the three data sets that the first was solved for."""
+    monkeypatch.setattr(relative, "pareto_weights", lambda *_: torch.tensor([0.5, 0.3, 0.2]))
+    sources = (SourceConfig("indoor", weight=2), SourceConfig("outdoor"), SourceConfig("relative"))
+    config = make_config("relative", sources=sources, steps=2, batch_size=3, task_weights="pareto", pareto_every=100)
+    train_relative(config, data=all_data, out=tmp_path)
+    first, second = ({k: v for k, v in line.items() if k.startswith("train/weight/")} for line in log_of(tmp_path))
+    assert list(first.values()) == pytest.approx([0.5, 0.3, 0.2])
+    assert second == {
+        "train/weight/indoor": pytest.approx(5 / 8),
+        "train/weight/outdoor": pytest.approx(3 / 8),
+    }
 
 
 def test_batch_without_any_known_depth_changes_nothing(make_config: MakeConfig, tmp_path: Path) -> None:
