@@ -1,4 +1,4 @@
-"""Rendering synthetic scenes: images a second in one process and in two, and seconds of CPU an image."""
+"""Measure how fast synthetic scenes are rendered: images a second in one and two processes, CPU seconds an image."""
 
 import os
 import time
@@ -16,7 +16,7 @@ PER_PROCESS = 24
 
 
 def render(indices: Iterable[int], domain: str) -> tuple[float, int]:
-    """(seconds of CPU, how many) of the images of these numbers."""
+    """Render the images of these numbers; return (CPU seconds, how many)."""
     data = SyntheticScenes(10_000, size=SIZE, domains=[domain])
     start, count = time.process_time(), 0
     for index in indices:
@@ -26,12 +26,12 @@ def render(indices: Iterable[int], domain: str) -> tuple[float, int]:
 
 
 def main() -> None:
-    """Rooms and streets of 384x288."""
+    """Time rooms and streets of 384x288 pixels and print a table."""
     table = Table("", "processes", "images/s", "CPU s/image", title=f"synthetic scenes, {SIZE[1]}x{SIZE[0]}")
     for domain in ("indoor", "outdoor"):
         for n_processes in (1, 2):
             with ProcessPoolExecutor(n_processes, mp_context=get_context("spawn")) as pool:
-                # Each process imports and makes its tables before the clock starts.
+                # Each process imports the package and makes its tables before the clock starts.
                 list(pool.map(render, [range(2)] * n_processes, [domain] * n_processes))
                 starts = [1000 * k for k in range(n_processes)]
                 start = time.perf_counter()

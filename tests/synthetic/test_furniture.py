@@ -130,3 +130,11 @@ def test_turned_frame_turns_the_whole_piece() -> None:
     (low, high), (turned_low, turned_high) = extent(straight), extent(other)
     np.testing.assert_allclose(turned_low, [2 - high[1], 3 + low[0], 0.5 + low[2]], atol=1e-6)
     np.testing.assert_allclose(turned_high, [2 - low[1], 3 + high[0], 0.5 + high[2]], atol=1e-6)
+
+
+def test_back_of_a_sofa_is_behind_its_seats() -> None:
+    for seed in SEEDS:
+        bounds = boxes(piece("sofa", seed))
+        size = bounds[:, 1] - bounds[:, 0]
+        (back,) = bounds[(size[:, 0] > 1.99) & (size[:, 1] < 0.3)]
+        assert back[0, 1] > 0.2

@@ -34,7 +34,7 @@ def test_it_repeats_after_one(name: str, u: int, v: int, level: int) -> None:
     np.testing.assert_allclose(noise(name)(x + u, y + v, footprint), noise(name)(x, y, footprint), atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ("cloud", "leaf", "grain"))
+@pytest.mark.parametrize("name", ["cloud", "leaf", "grain"])
 def test_no_seam_shows_where_it_repeats(name: str) -> None:
     """A step across the border of the table is as large as one elsewhere."""
     line, step = np.linspace(0, 1, 200, endpoint=False), 0.5 / SIZE

@@ -109,7 +109,7 @@ def test_light_of_a_lamp_falls_off_with_the_square() -> None:
 
 
 def test_brightness_of_a_lit_surface_is_that_of_the_formula() -> None:
-    """Irradiance of the sun times the colour; a quarter of the ambient light on top, and nothing bounces in the open."""
+    """The sun's irradiance times the colour, and a quarter of the ambient light; nothing bounces in the open."""
     scene = flat_ground(ambient=(0.2, 0.2, 0.2), sun=Sun((0.0, 0.6, 0.8), (2.0, 1.0, 0.5), 0.0))
     color = picture(scene, from_above()).color.mean((0, 1))
     np.testing.assert_allclose(color, 0.5**2.2 * (0.8 * np.array((2, 1, 0.5)) + 0.05), rtol=0.04)

@@ -9,7 +9,7 @@ from tests.synthetic.measuring import boxes, numbers
 from zoedepth.synthetic import room as rooms
 from zoedepth.synthetic.furniture import room_style
 from zoedepth.synthetic.room import KINDS, Room, build_room
-from zoedepth.synthetic.scene import Scene
+from zoedepth.synthetic.scene import Frame, Scene
 
 SEEDS = range(25)
 HALF = st.floats(0.05, 1.5)
@@ -112,3 +112,16 @@ def test_camera_looks_across_the_room(built: list[Room]) -> None:
             ahead.append(-direction @ np.array(pose.position[:2]))
     assert np.mean(ahead) > 0.2
     assert np.mean(np.array(ahead) > 0) > 0.6
+
+
+def test_floor_below_furniture_is_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    placed: list[Frame] = []
+    for name in ("shelf", "bed", "sofa"):
+        monkeypatch.setattr(rooms.furniture, name, lambda frame, *args: placed.append(frame))
+    count = 0
+    for seed in SEEDS:
+        placed.clear()
+        room = build_room(np.random.default_rng(seed))
+        count += len(placed)
+        assert not [frame for frame in placed if room.free(frame.x, frame.y, 0.05, 0.05)]
+    assert count > 20

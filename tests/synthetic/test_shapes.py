@@ -78,7 +78,7 @@ def test_sphere_has_radial_normals_smooth_across_edges() -> None:
 def test_ring_is_a_wheel_that_rolls_along_x() -> None:
     ring = all_shapes()["ring"]
     away = np.hypot(ring.vertices[:, 0], ring.vertices[:, 2])
-    assert away.min() > 0.5 - 2 * 0.12 * 0.55  # nothing near the axis
+    assert away.min() == pytest.approx(0.5 - 0.12, abs=0.005)  # nothing near the axis
     assert away.max() == pytest.approx(0.5, abs=1e-3)
 
 
