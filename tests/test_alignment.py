@@ -52,6 +52,7 @@ def test_least_squares_is_that_of_numpy_over_the_given_pixels_applied_to_all() -
     np.testing.assert_allclose(align_least_squares(x, target, where), scale * x + shift, rtol=1e-9)
 
 
-def test_least_squares_of_one_value_everywhere_is_the_mean_of_the_target() -> None:
-    found = align_least_squares(np.full((1, 4), 0.5), np.array([[1.0, 2.0, 3.0, 6.0]]), EVERYWHERE)
+def test_least_squares_of_one_value_at_the_given_pixels_is_the_mean_of_the_target_everywhere() -> None:
+    x, where = np.array([[0.5, 0.5, 0.5, 9.0]]), np.array([[True, True, True, False]])
+    found = align_least_squares(x, np.array([[1.0, 2.0, 6.0, 0.0]]), where)
     np.testing.assert_array_equal(found, np.full((1, 4), 3.0))

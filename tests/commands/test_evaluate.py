@@ -1,4 +1,4 @@
-"""``zoedepth evaluate``: the protocol follows the domain unless told otherwise; what is printed and written."""
+"""``zoedepth evaluate``: how its options choose protocols and sources, and what it prints and writes."""
 
 import json
 import os
@@ -17,6 +17,7 @@ from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.evaluation.dataset_scores import score_dataset
+from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
 from zoedepth.evaluation.predictions import FolderSource, ModelSource, PredictionSource
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Protocol
 from zoedepth.metrics import Metrics, mean_metrics
@@ -29,13 +30,13 @@ METRICS = {f.name for f in fields(Metrics)}
 
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder that keeps the file of the model for all tests."""
+    """Make the folder that keeps the file of the model for all tests."""
     return tmp_path_factory.mktemp("models")
 
 
 @pytest.fixture
 def model(request: pytest.FixtureRequest, models: Path) -> Path:
-    """File of a model that takes every photo for an indoor one."""
+    """Return the file of a model that takes every photo for an indoor one."""
     path = models / "tiny.safetensors"
     if not path.exists():
         tiny_model: ZoeDepth = request.getfixturevalue("tiny_model")
@@ -46,7 +47,7 @@ def model(request: pytest.FixtureRequest, models: Path) -> Path:
 
 
 def write_predictions(folder: Path, path: Path) -> Path:
-    """Depth maps of a list's photos: the truth times 1.1 on the left and 1.3 on the right, 2 m where it is unknown."""
+    """Write depth maps of a list's photos: the truth times 1.1 (left) to 1.3 (right), and 2 m where it is unknown."""
     folder.mkdir()
     dataset = PairDataset(path)
     for index in range(len(dataset)):
@@ -58,7 +59,7 @@ def write_predictions(folder: Path, path: Path) -> Path:
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -> list[dict]:
-    """The JSON objects that the command prints, and nothing but them."""
+    """Run the command and return the JSON objects that it prints; it may print nothing else."""
     found = main(["evaluate", "--json", *map(str, arguments)])
     output = capsys.readouterr()
     assert found == code, output.err
@@ -66,7 +67,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object, code: int = 0) -
 
 
 def error(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """What the command says when it is told something wrong."""
+    """Run the command with something wrong and return what it says."""
     assert main(["evaluate", *map(str, arguments)]) == 2
     output = capsys.readouterr()
     assert output.out == ""
@@ -74,7 +75,7 @@ def error(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 
 
 def expected(source: PredictionSource, path: Path, protocol: Protocol) -> dict[str, float]:
-    """Means over images under a protocol."""
+    """Compute the means over images under a protocol."""
     dataset = PairDataset(path)
     scores = score_dataset(source, dataset, dict.fromkeys(dataset.domains, protocol)).scores
     return asdict(mean_metrics([score.sums.metrics() for score in scores.values() if score.sums is not None]))
@@ -138,7 +139,7 @@ class TestProtocol:
         assert record["protocols"] == {"indoor": protocol.label}
 
     def test_pooled_mean(self, tmp_path: Path, capsys):
-        """Both photos have equally many known pixels: only what is no mean of means differs."""
+        """Both photos have equally many known pixels, so REL is the same both ways, and RMSE is not."""
         path = write_pairs(tmp_path, n=2, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
         (images,) = run(capsys, "--predictions", theirs, "--data", path)
@@ -188,6 +189,19 @@ class TestSources:
         monkeypatch.chdir(tmp_path)
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
         assert "name them" in error(capsys, *options, "--data", path)
+
+    def test_scores_belong_to_weights_behaviours_and_list(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        options = ["--data", path, "--out", tmp_path / "out", "--no-pictures"]
+        run(capsys, "--model", f"tiny={model}", "--compat", "batch-vote", *options)
+        header = json.loads((tmp_path / "out/tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()[0])
+        assert header["about"] == {
+            "source": "tiny",
+            "weights": weights_fingerprint(model),
+            "compat": ["batch-vote"],
+            "data": str(path),
+            "list": list_fingerprint(str(path)),
+        }
 
     def test_other_peoples_depth_maps(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
@@ -289,7 +303,8 @@ class TestOutput:
         for word in ("REL", "RMSE", "rooms", INDOOR.label, f"{rel:.3f}", "100.0 %"):
             assert word in output
 
-    def test_report_has_tables_pictures_and_the_command(self, model: Path, tmp_path: Path, capsys):
+    def test_report_has_tables_pictures_and_the_command(self, model: Path, tmp_path: Path, capsys, monkeypatch):
+        monkeypatch.setattr(sys, "argv", ["anything", "evaluate", "--data", "a b"])
         path = write_pairs(tmp_path / "rooms", n=3, split="test")
         out = tmp_path / "out"
         assert main(["evaluate", "--model", f"tiny={model}", "--data", str(path), "--out", str(out)]) == 0
@@ -297,6 +312,7 @@ class TestOutput:
         for file in ("tiny/rooms/examples.png", "rooms-error-by-depth.png"):
             assert file in report
             assert (out / file).read_bytes().startswith(b"\x89PNG")
+        assert "zoedepth evaluate --data 'a b'" in report
         assert INDOOR.label in report
         assert INDOOR.hash in (out / "report.tex").read_text()
         (result,) = json.loads((out / "report.json").read_text())["results"]
@@ -355,10 +371,11 @@ class TestOutput:
     def test_the_papers_numbers_beside_ours(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
-        assert main(["evaluate", "--predictions", f"theirs={theirs}", "--data", f"nyu={path}", "--with-paper"]) == 0
-        output = capsys.readouterr().out
-        assert "ZoeD-M12-N (paper)" in output
-        assert "0.270" in output
+        options = ["--predictions", f"theirs={theirs}", "--data", f"nyu={path}", "--with-paper"]
+        assert main(["evaluate", *options, "--out", str(tmp_path / "out"), "--no-pictures"]) == 0
+        for text in (capsys.readouterr().out, (tmp_path / "out/report.md").read_text()):
+            assert "ZoeD-M12-N (paper)" in text
+            assert "0.270" in text
 
     def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path):
         """Failures of the second process, too."""

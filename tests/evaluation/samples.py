@@ -1,4 +1,4 @@
-"""Samples with a depth that is known, and sources that say what they are told: what the tests of this folder share."""
+"""Samples whose depth is known, and a source that predicts as it is told; shared by the tests of this folder."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,13 +16,13 @@ EVERYWHERE = Protocol("everywhere", max_depth=10.0)
 
 
 def sample_of(truth: object, *, domain: str = "indoor", name: str = "photo.jpg") -> Sample:
-    """A grey photo with this depth, metres; 0 is unknown."""
+    """Make a grey photo with this depth, metres; 0 is unknown."""
     target = torch.tensor(np.asarray(truth), dtype=torch.float32)[None]
     return Sample(torch.full((3, *target.shape[1:]), 0.5), target, target > 0, "depth", domain, name)
 
 
 def photo(size: tuple[int, int], *, seed: int = 0, domain: str = "indoor", name: str = "photo.jpg") -> Sample:
-    """A photo of 8 bits and depth (1 to 9 m) at random."""
+    """Make a photo of 8 bits and a depth of 1 to 9 m, both at random."""
     rng = np.random.default_rng(seed)
     sample = sample_of(rng.uniform(1, 9, size=size), domain=domain, name=name)
     values = rng.integers(0, 256, size=(3, *size))
@@ -30,7 +30,7 @@ def photo(size: tuple[int, int], *, seed: int = 0, domain: str = "indoor", name:
 
 
 def prediction_of(depth: object, *, std: object = None, relative: bool = False) -> Prediction:
-    """A prediction of these values."""
+    """Make a prediction of these values."""
     return Prediction(
         np.asarray(depth, dtype=np.float32),
         None if std is None else np.asarray(std, dtype=np.float32),
@@ -40,12 +40,12 @@ def prediction_of(depth: object, *, std: object = None, relative: bool = False) 
 
 @dataclass
 class FactorSource:
-    """The truth times a factor, as no source may do; it counts what it was asked, and fails where it is told to."""
+    """Predict the truth times a factor, which no real source could. It lists the photos it was asked for."""
 
     factors: dict[str, float] = field(default_factory=dict)
     """Photo's name → factor; 1 for others."""
     broken: Sequence[str] = ()
-    """Names of photos of which nothing can be said."""
+    """Names of photos that it fails on."""
     domain: str | None = None
     asked: list[str] = field(default_factory=list)
 

@@ -11,7 +11,7 @@ HEIGHT, WIDTH = 120, 60
 
 
 def step(*, at: int = 30, near: float = 2.0, far: float = 4.0) -> np.ndarray:
-    """Near on the left, far from column ``at`` on: 120 edges."""
+    """Make a depth that is near on the left and far from column ``at`` on: 120 edges."""
     return np.where(np.arange(WIDTH) < at, near, far) * np.ones((HEIGHT, 1))
 
 
@@ -20,7 +20,7 @@ def f1(depth: np.ndarray, truth: np.ndarray, known: np.ndarray | None = None) ->
 
 
 def rough(seed: int = 0) -> np.ndarray:
-    """Edges of all heights in all directions."""
+    """Make a depth with edges of all heights in all directions."""
     return np.exp(np.random.default_rng(seed).normal(0, 0.15, size=(40, 50)))
 
 
@@ -58,6 +58,15 @@ def test_blurred_step_is_worse_the_wider_it_is() -> None:
 def test_thresholds_count_by_how_far_they_are_above_1() -> None:
     # 12.5 % where 100 % is true: found at 5 and 10 of 5, 10, 15, 20, 25 %.
     assert f1(step(near=2.0, far=2.25), step()) == pytest.approx((5 + 10) / (5 + 10 + 15 + 20 + 25))
+
+
+def test_thresholds_at_which_only_the_prediction_has_an_edge_count() -> None:
+    assert f1(step(), step(near=2.0, far=2.25)) == pytest.approx((5 + 10) / (5 + 10 + 15 + 20 + 25))
+
+
+def test_edge_is_more_than_the_threshold() -> None:
+    # 25 % is not more than 25 %; 1.25 and these depths are exact.
+    assert f1(step(near=2.0, far=2.5), step()) == pytest.approx((5 + 10 + 15 + 20) / (5 + 10 + 15 + 20 + 25))
 
 
 def test_false_edges_and_missing_ones_count_alike() -> None:

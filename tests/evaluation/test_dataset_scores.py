@@ -27,7 +27,7 @@ FACTORS = {f"{i}.jpg": 1 + 0.11 * i for i in range(7)}
 
 
 def photos(n: int, *, without_truth: Sequence[int] = ()) -> list[Sample]:
-    """Photos "0.jpg", "1.jpg" ..., of rooms and of streets by turns, of several sizes."""
+    """Make photos "0.jpg", "1.jpg" ... of rooms and streets by turns, of several sizes."""
     samples = [photo((130 + i, 20), seed=i, domain=("indoor", "outdoor")[i % 2], name=f"{i}.jpg") for i in range(n)]
     return [
         replace(s, target=0 * s.target, mask=s.mask & False) if i in without_truth else s for i, s in enumerate(samples)
@@ -35,7 +35,7 @@ def photos(n: int, *, without_truth: Sequence[int] = ()) -> list[Sample]:
 
 
 def asked(source: FactorSource) -> list[str]:
-    """Photos that were predicted since last asked."""
+    """Return the names of the photos that were predicted since the last call."""
     names = list(source.asked)
     source.asked.clear()
     return names

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch.distributed as distributed
 from PIL import Image
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
 from tests.folders import write_pairs
@@ -161,6 +162,45 @@ def test_several_processes_need_a_folder(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv("WORLD_SIZE", "2")
     with pytest.raises(InputError, match="--out"):
         evaluate({"ours": FactorSource()}, SETS)
+
+
+def test_scores_of_the_other_processes_are_read_once_all_have_met(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sets, source = {"rooms": SETS["rooms"]}, FactorSource(FACTORS)
+    expected = evaluate({"ours": source}, sets).summaries
+
+    def other_process_ends() -> None:
+        folder, about = tmp_path / "ours/rooms", {"source": "ours"}
+        score_dataset(source, SETS["rooms"].dataset, PROTOCOLS, folder=folder, about=about, processes=Processes(1, 2))
+
+    monkeypatch.setenv("RANK", "0")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    monkeypatch.setattr(distributed, "is_initialized", lambda: True)
+    monkeypatch.setattr(distributed, "barrier", other_process_ends)
+    assert evaluate({"ours": source}, sets, folder=tmp_path).summaries == expected
+
+
+def test_other_processes_leave_pictures_report_and_problems_of_a_set_to_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RANK", "1")
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    nothing = EvaluationSet(photos(2), {"indoor": replace(EVERYWHERE, max_depth=0.5)})
+    distributed.init_process_group("gloo", store=distributed.HashStore(), rank=0, world_size=1)
+    try:
+        found = evaluate(
+            {"ours": FactorSource()}, {"rooms": SETS["rooms"], "far": nothing}, folder=tmp_path, pictures=True
+        )
+    finally:
+        distributed.destroy_process_group()
+    found.write_report(tmp_path)
+    assert (found.processes, found.failures, found.pictures) == (Processes(1, 2), [], {})
+    assert [(s.data, s.n_images, s.n_failed) for s in found.summaries] == [("rooms", 2, 2), ("far", 1, 1)]
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()) == [
+        "ours/far/scores-1-of-2.jsonl",
+        "ours/rooms/scores-1-of-2.jsonl",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS
 
 
 def write_nyu(folder: Path) -> Path:
-    """One photo of NYU's test set, in its official folder."""
+    """Write one photo of NYU's test set, in its official folder."""
     scene = folder / "official_splits/test/kitchen"
     scene.mkdir(parents=True)
     Image.new("RGB", (640, 480), (90, 60, 30)).save(scene / "rgb_00045.jpg")
@@ -24,7 +24,7 @@ def write_nyu(folder: Path) -> Path:
 
 
 def write_diode(folder: Path) -> Path:
-    """One photo of DIODE's indoor scenes in its official folder, whose mask says that nothing is known."""
+    """Write one photo of DIODE's indoor scenes in its official folder, whose mask says that nothing is known."""
     stem = folder / "val/indoors/scene_00019/scan_00183/00019_00183_indoors_000_010"
     stem.parent.mkdir(parents=True)
     Image.new("RGB", (64, 48), (90, 60, 30)).save(f"{stem}.png")

@@ -18,7 +18,7 @@ OTHER_DIGIT = {("table-3", "ibims", "LocalBins"): 0.236}
 """Entries whose printed digit does not follow from the printed scores → printed less recomputed, percent points."""
 
 BEYOND_ROUNDING: dict[tuple[str, str, str], float] = {}
-"""Those of them that no scores which round to the printed ones give."""
+"""Entries that no scores give, whatever was rounded to the printed ones."""
 
 REFERENCES = ("NeWCRFs-X-NK†", "NeWCRFs")
 
@@ -98,12 +98,12 @@ def key(entry: MriEntry) -> tuple[str, str, str]:
 
 
 def half_unit(printed: Decimal) -> float:
-    """Half a unit of the last printed digit: what rounding may have changed."""
+    """Return half a unit of the last printed digit, which rounding may have changed."""
     return 0.5 * 10.0 ** int(printed.as_tuple().exponent)
 
 
 def corners(entry: MriEntry) -> Iterator[float]:
-    """The mean at all ends of the intervals that round to the printed scores: it is monotone in each of them."""
+    """Return the mean at all ends of the intervals that round to the printed scores; it is monotone in each of them."""
     mean = mri_datasets if entry.dataset == ALL else mri_metrics
     if entry.method in REFERENCES:  # a score and its reference are one number, whatever it is
         yield 0.0
@@ -161,7 +161,7 @@ def test_rounding_interval_of_the_listed_entry_just_reaches_it() -> None:
 
 
 def line(entry: MriEntry) -> str:
-    """The entry's line in docs/published.md."""
+    """Return the entry's line in docs/published.md."""
     table = entry.table.replace("table-", "Table ")
     data = "all four" if entry.dataset == ALL else datasets()[entry.dataset].name
     difference = f"{entry.difference:+.3f}" if entry.method not in REFERENCES else "0"

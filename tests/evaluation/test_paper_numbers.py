@@ -17,7 +17,7 @@ ZERO_SHOT = ["sunrgbd", "ibims", "diode-indoor", "hypersim", "vkitti2", "ddad", 
 
 
 def row(table: str, name: str, dataset: str) -> dict[str, str]:
-    """A row of a table on one data set, its numbers as printed."""
+    """Return a row of a table on one data set, its numbers as printed."""
     (found,) = [each for each in tables()[table].rows if each.name == name]
     return {metric: str(value) for (data, metric), value in found.values.items() if data == dataset}
 

@@ -43,7 +43,7 @@ PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0
 
 @pytest.fixture
 def outdoor_model(tiny_model: ZoeDepth) -> ZoeDepth:
-    """Takes every photo, and its mirror image, for an outdoor one."""
+    """Make a model that takes every photo, and its mirror image, for an outdoor one."""
     with torch.no_grad():
         tiny_model.router.classifier.mlp[-1].bias.copy_(torch.tensor([0.0, 1000.0]))
     return tiny_model
@@ -243,7 +243,7 @@ def test_missing_folder_is_an_error_that_names_it(tmp_path: Path) -> None:
 
 
 def skewed(*, seed: int, domain: str = "indoor", size: tuple[int, int] = (9, 11)) -> Sample:
-    """Depth of a long tail, in part unknown or beyond 10 m."""
+    """Make a depth with a long tail, in part unknown or beyond 10 m."""
     rng = np.random.default_rng(seed)
     return sample_of(np.where(rng.random(size) < 0.8, np.exp(rng.normal(0.5, 1, size)), 0), domain=domain)
 
@@ -328,6 +328,14 @@ def test_training_photos_are_cut_as_the_protocol_says(kind: type) -> None:
     truth[23:, 13:1229] = 20.0
     source = kind([sample_of(truth, domain="outdoor")], {"outdoor": OUTDOOR})
     np.testing.assert_allclose(source.depth["outdoor"], 20.0)
+
+
+@pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])
+def test_training_depth_that_the_mask_hides_is_not_used(kind: type) -> None:
+    sample = sample_of([[2.0] * 4, [8.0] * 4])
+    hidden = dataclasses.replace(sample, mask=sample.mask & (sample.target < 5))
+    found = kind([hidden], PROTOCOLS).predict(photo((6, 8)), EVERYWHERE)
+    np.testing.assert_allclose(found.depth, 2.0)
 
 
 @pytest.mark.parametrize("kind", [ConstantSource, MeanMapSource])

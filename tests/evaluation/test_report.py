@@ -26,7 +26,7 @@ PROTOCOLS = {"indoor": EVERYWHERE}
 
 
 def photos(n: int, *, size: tuple[int, int] = (60, 80)) -> list[Sample]:
-    """Photos "0.jpg", "1.jpg" ... of a slope from 1 to 9 m, whose upper tenth is unknown."""
+    """Make photos "0.jpg", "1.jpg" ... of a slope from 1 to 9 m, whose upper tenth is unknown."""
     truth = np.linspace(1, 9, size[1]) * np.ones((size[0], 1))
     truth[: size[0] // 10] = 0
     return [sample_of(truth, name=f"{i}.jpg") for i in range(n)]
@@ -43,7 +43,7 @@ def summary_of(source: FactorSource, label: str, data: str, samples: list[Sample
 
 @pytest.fixture
 def summaries() -> list[Summary]:
-    """Two sources on "rooms", one of which fails once, and one on "a_b" that has a photo without truth."""
+    """Score two sources on "rooms", one of which fails once, and one on "a_b" that has a photo without truth."""
     rooms, others = photos(3), photos(2)
     others[1] = replace(others[1], mask=others[1].mask & False)
     return [
@@ -115,7 +115,7 @@ def test_latex_has_all_tables(written: Path, summaries: list[Summary]) -> None:
 
 @pytest.fixture
 def panels(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, np.ndarray]]:
-    """(caption, picture) of the panels that are made, as they are made."""
+    """Collect (caption, picture) of the panels that are made, in their order."""
     made: list[tuple[str, np.ndarray]] = []
     real = report.panel
 

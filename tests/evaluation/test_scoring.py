@@ -22,7 +22,7 @@ DISPARITY = replace(EVERYWHERE, alignment="disparity")
 
 
 def metrics_of(depth: object, truth: object, protocol: Protocol = EVERYWHERE, **prediction: object) -> Metrics:
-    """Of a prediction (metres unless it is relative) against a truth."""
+    """Compute the metrics of a prediction (metres unless it is relative) against a truth."""
     sums = score(prediction_of(depth, **prediction), sample_of(truth), protocol).sums
     assert sums is not None
     return sums.metrics()
@@ -239,6 +239,17 @@ def test_disparity_of_zero_or_less_is_as_far_as_the_cap() -> None:
     np.testing.assert_allclose(found, [[1.0, 2.0, 10.0, 10.0]])
 
 
+def test_disparity_that_is_no_number_counts_as_nearest_and_minus_infinity_as_farthest() -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0, 0.0]])
+    relative = [[1.0, 0.5, 0.25, math.nan, math.inf, -math.inf]]
+    found = aligned_depth(prediction_of(relative, relative=True), truth, truth > 0, DISPARITY)
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1e-3, 1e-3, 10.0]])
+
+
+def test_metric_depth_of_a_few_centimetres_is_aligned_like_any_other() -> None:
+    assert metrics_of([[0.025, 0.05, 0.1]], [[1.0, 2.0, 4.0]], DISPARITY).rel == pytest.approx(0, abs=1e-6)
+
+
 @pytest.mark.parametrize("protocol", [EVERYWHERE, MEDIAN], ids=["none", "median"])
 def test_relative_depth_that_is_not_aligned_is_an_error_that_says_how(protocol: Protocol) -> None:
     with pytest.raises(InputError, match="--align disparity"):
@@ -301,6 +312,11 @@ def test_edges_are_those_of_the_depth_that_is_scored() -> None:
     flat = score(prediction_of(np.full_like(truth, 3.0)), sample_of(truth), EVERYWHERE)
     assert (sharp.boundary_f1, flat.boundary_f1) == (1, 0)
     assert score(prediction_of(truth[:50]), sample_of(truth[:50]), EVERYWHERE).boundary_f1 is None  # 50 pairs
+
+
+def test_edges_of_pixels_that_are_not_scored_do_not_count() -> None:
+    truth = np.where(np.arange(40) < 20, 2.0, 12.0) * np.ones((120, 1))  # beyond 10 m on the right
+    assert score(prediction_of(truth), sample_of(truth), EVERYWHERE).boundary_f1 is None
 
 
 def awkward_scores() -> list[Score]:

@@ -18,7 +18,7 @@ PROTOCOLS = {"indoor": INDOOR, "outdoor": OUTDOOR}
 
 
 def sums_of(n_pixels: int, rel: float) -> Sums:
-    """Of pixels with this REL; the other numbers follow from it in some way."""
+    """Make the sums of pixels with this REL; the other numbers follow from it in some way."""
     n = n_pixels
     return Sums(n, rel * n, 4 * rel**2 * n, rel * n / 2, n, n, n, rel * n, rel**2 * n / 16, rel * n / 8)
 
@@ -26,7 +26,7 @@ def sums_of(n_pixels: int, rel: float) -> Sums:
 def score_of(
     rel: float | None, *, n_pixels: int = 100, domain: str = "indoor", routed: str | None = None, **more: object
 ) -> Score:
-    """An image whose pixels are all between 1 and 2 m; of no known pixel without a REL."""
+    """Score an image whose pixels are all between 1 and 2 m; without a REL it has no known pixel."""
     if rel is None:
         return Score("photo.jpg", domain, routed, None)
     sums = sums_of(n_pixels, rel)

@@ -45,12 +45,12 @@ def metrics_of(**values: float) -> Metrics:
 
 
 def row_of(source: str, metrics: Metrics | None, **fields: object) -> Summary:
-    """A summary of these metrics."""
+    """Make a summary of these metrics."""
     return replace(SUMMARY, source=source, metrics=metrics, **fields)
 
 
 def bold(table: ReportTable, column: str) -> list[str]:
-    """Sources whose value in a column is bold."""
+    """Return the sources whose value in a column is bold."""
     return [row[0] for i, row in enumerate(table.rows) if (i, table.header.index(column)) in table.best]
 
 
@@ -144,6 +144,7 @@ def test_extras_have_the_other_mean_edges_and_doubts() -> None:
         ("none", *["-"] * 8),
     )
     assert extras_table([replace(full, mean="pixels")], "rooms").header[1] == "REL over images"
+    assert extras_table([full, replace(full, mean="pixels")], "rooms").header[1] == "REL over images"
 
 
 def test_ranges_have_a_column_where_any_source_has_pixels() -> None:

@@ -14,7 +14,7 @@ ERROR = np.abs(DEPTH - TRUTH)
 
 
 def doubts_in_the_order_of(values: np.ndarray) -> np.ndarray:
-    """Standard deviations that are, relative to the depth, in this order."""
+    """Make standard deviations that are in this order, relative to the depth."""
     return DEPTH * (values.argsort().argsort() + 1) / len(values)
 
 
@@ -35,6 +35,15 @@ def test_doubts_at_random_are_1() -> None:
 def test_same_doubt_everywhere_is_1() -> None:
     # No order: pixels as they come, which here is at random.
     assert score_uncertainty(DEPTH, TRUTH, 0.3 * DEPTH).ause == pytest.approx(1, abs=0.1)
+
+
+def test_pixels_of_the_same_doubt_are_removed_as_they_come() -> None:
+    n = 50 * STEPS
+    truth = 4 / RNG.uniform(1.1, 1.9, size=n)
+    error = 4 / truth - 1
+    remaining, best = ([values[50 * k :].mean() for k in range(STEPS)] for values in (error, np.sort(error)[::-1]))
+    expected = (np.mean(remaining) - np.mean(best)) / (error.mean() - np.mean(best))
+    assert score_uncertainty(np.full(n, 4.0), truth, np.ones(n)).ause == pytest.approx(expected, rel=1e-9)
 
 
 def test_doubts_in_the_opposite_order_are_worse_than_at_random() -> None:

@@ -4,13 +4,14 @@ import json
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from zoedepth import __version__
 from zoedepth.alignment import resize_depth
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
-from zoedepth.data.sample import Samples
+from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import MissingExtraError
 from zoedepth.evaluation.predictions import PredictionSource, predict
 from zoedepth.evaluation.protocols import Protocol
@@ -79,39 +80,52 @@ def examples(
     if not ranked:
         return None
     chosen = dict.fromkeys((ranked[0], ranked[len(ranked) // 2], ranked[-1]))
-    names = ("best", "median", "worst") if len(chosen) == 3 else ("",) * len(chosen)
-    rows = []
-    for label, index in zip(names, chosen, strict=True):
-        sample = data[index]
-        protocol = protocols[sample.domain]
-        prediction, shown = predict(source, sample, protocol)
-        truth, scored = shown.target[0].numpy(), scored_pixels(shown, protocol)
-        depth = aligned_depth(prediction, truth, scored, protocol)
-        rows.append((label, shown, truth, scored, depth, scores[index]))
-    known = np.concatenate([truth[scored] for _, _, truth, scored, _, _ in rows])
+    ranks = ("best", "median", "worst") if len(chosen) == 3 else ("",) * len(chosen)
+    shown = [
+        _example(source, data[index], protocols, f"{rank}: REL {rel[index]:.3f}" if rank else f"REL {rel[index]:.3f}")
+        for rank, index in zip(ranks, chosen, strict=True)
+    ]
+    known = np.concatenate([example.truth[example.scored] for example in shown])
     vmin, vmax = depth_range(known, percentiles=(1.0, 99.0))
-    panels = []
-    for label, shown, truth, scored, depth, score in rows:
-        wide = truth.shape[1] > 2 * truth.shape[0]
-        width = min(truth.shape[1], 720 if wide else 400)
-        height = round(truth.shape[0] * width / truth.shape[1])
-        size = (height, width)
-        error = np.where(scored, 100 * (depth / np.where(scored, truth, 1) - 1), np.nan)
-        rel = score.sums.metrics().rel if score.sums is not None else float("nan")
-        depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
-        error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
-        true_depth = colorize(_spread(np.where(shown.mask[0].numpy(), truth, np.nan), size), vmin=vmin, vmax=vmax)
-        predicted = colorize(resize_depth(depth, size), vmin=vmin, vmax=vmax)
-        caption = f"{label}: REL {rel:.3f}" if label else f"REL {rel:.3f}"
-        four = [
-            panel(to_image(shown.image), size=size, caption=f"{caption}, {shown.name}"[:48]),
-            panel(true_depth, size=size, caption="measured (grey: unknown)"),
-            panel(predicted, size=size, bar=depth_bar, caption="predicted"),
-            panel(_colored_error(_spread(error, size)), size=size, bar=error_bar, caption="error (red: too far)"),
-        ]
-        # All four in a row, or two rows of two where the photos are as wide as KITTI's.
-        panels += [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
-    return sheet(panels)
+    return sheet([row for example in shown for row in _panels(example, vmin=vmin, vmax=vmax)])
+
+
+class _Example(NamedTuple):
+    """An image that is shown: arrays of (height, width), depths in metres."""
+
+    caption: str
+    sample: Sample
+    truth: np.ndarray
+    scored: np.ndarray
+    depth: np.ndarray
+
+
+def _example(source: PredictionSource, sample: Sample, protocols: Mapping[str, Protocol], caption: str) -> _Example:
+    protocol = protocols[sample.domain]
+    prediction, cropped = predict(source, sample, protocol)
+    truth, scored = cropped.target[0].numpy(), scored_pixels(cropped, protocol)
+    return _Example(caption, cropped, truth, scored, aligned_depth(prediction, truth, scored, protocol))
+
+
+def _panels(example: _Example, *, vmin: float, vmax: float) -> list[list[ImageArray]]:
+    """Return rows of panels: all four in a row, or two rows of two where the photo is as wide as KITTI's."""
+    truth, scored = example.truth, example.scored
+    wide = truth.shape[1] > 2 * truth.shape[0]
+    width = min(truth.shape[1], 720 if wide else 400)
+    height = round(truth.shape[0] * width / truth.shape[1])
+    size = (height, width)
+    error = np.where(scored, 100 * (example.depth / np.where(scored, truth, 1) - 1), np.nan)
+    known = np.where(example.sample.mask[0].numpy(), truth, np.nan)
+    depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
+    error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
+    predicted = colorize(resize_depth(example.depth, size), vmin=vmin, vmax=vmax)
+    four = [
+        panel(to_image(example.sample.image), size=size, caption=f"{example.caption}, {example.sample.name}"[:48]),
+        panel(colorize(_spread(known, size), vmin=vmin, vmax=vmax), size=size, caption="measured (grey: unknown)"),
+        panel(predicted, size=size, bar=depth_bar, caption="predicted"),
+        panel(_colored_error(_spread(error, size)), size=size, bar=error_bar, caption="error (red: too far)"),
+    ]
+    return [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
 
 
 def require_matplotlib() -> None:
