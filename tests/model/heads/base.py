@@ -104,12 +104,14 @@ class HeadTester:
         CHANGES: for every field of the config another value, and what the config must be for it to matter.
         BOUNDED: depth stays in the range of the domain.
         HAS_BINS: depth is the mean of a distribution.
+        EXPORTED_AS_TINY: configs that differ from another only in numbers, which an exporter does not see.
     """
 
     TINY: ClassVar[Any]
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]]
     BOUNDED: ClassVar[bool] = True
     HAS_BINS: ClassVar[bool] = True
+    EXPORTED_AS_TINY: ClassVar[tuple[Any, ...]] = ()
 
     def check_centers(self, centers: Tensor, config: Any) -> None:
         """Assert what this head promises of its bin centers (batch, bins, height, width)."""
@@ -126,8 +128,7 @@ class HeadTester:
     def head(self, config: Any) -> Head:
         return build_head(config)
 
-    @pytest.mark.parametrize("output_stride", [1, 2])
-    @pytest.mark.parametrize("size", [(32, 32), (64, 96), (160, 32)])
+    @pytest.mark.parametrize(("size", "output_stride"), [((32, 32), 1), ((64, 96), 2), ((160, 32), 1)])
     def test_any_input_size_gives_a_map_of_its_proportions(self, head: Head, size: tuple[int, int], output_stride: int):
         output = head(decoder_features(size, output_stride=output_stride))
         stride = size[0] // output.depth.shape[-2]
@@ -187,13 +188,13 @@ class HeadTester:
         assert all(p.grad.isfinite().all() for p in head.parameters() if p.grad is not None)
 
     def test_it_learns(self, head: Head):
-        """Twenty steps on one batch make its own loss smaller."""
-        features = decoder_features((64, 64))
+        """Ten steps on one batch make its own loss smaller."""
+        features = decoder_features((32, 32))
         optimizer = torch.optim.Adam(head.parameters(), lr=3e-3)
         values = []
-        for _ in range(20):
+        for _ in range(10):
             torch.manual_seed(0)  # where a loss draws windows, the same ones
-            loss = loss_of(head(features), (64, 64))
+            loss = loss_of(head(features), (32, 32))
             optimizer.zero_grad()
             loss.backward()
             optimizer.step()
@@ -233,7 +234,9 @@ class HeadTester:
         other.load_state_dict(torch.load(file, weights_only=True))
         assert torch.equal(other(features).depth, head(features).depth)
 
-    def test_it_can_be_exported(self, head: Head):
+    def test_it_can_be_exported(self, head: Head, config: Any):
+        if config in self.EXPORTED_AS_TINY:
+            return
         bottleneck, levels, last, relative = decoder_features((64, 96), batch=1)
         inputs = (bottleneck, *levels, last, relative)
         model = _Exportable(head.eval())

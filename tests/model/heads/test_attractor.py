@@ -32,6 +32,7 @@ OPTIONS = {
 class TestAttractorHead(HeadTester):
     TINY = TINY
     BOUNDED = False
+    EXPORTED_AS_TINY = tuple(OPTIONS[name] for name in ("gamma-one", "normed-mean", "geometric", "two-bins"))
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "n_bins": (9, {}),
         "n_attractors": ((4, 3, 2, 2), {}),
