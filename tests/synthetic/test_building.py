@@ -53,7 +53,7 @@ def test_show_windows_are_in_the_ground_floor() -> None:
         assert low[2] >= 0
         assert np.abs([low[0], high[0]]).max() < 5.1
         assert low[1] > -1.5
-        board = boxes(scene)[[i for i, part in enumerate(scene.parts) if part[2][3] == pytest.approx(9)][0]]
+        board = boxes(scene)[next(i for i, part in enumerate(scene.parts) if part[2][3] == pytest.approx(9))]
         assert 2.3 < board[0, 2] < 2.5
 
 

@@ -48,8 +48,8 @@ def direct(
         scene.at(40, 40, -40).add("box", GRAY, (1, 1, 1))
     n = len(points)
     return direct_light(
-        scene, Tracer(scene.arrays((0, 0, 0))), rows(points), rows(normals or [UP] * n), rows(views or [(0, 0, -1)] * n),
-        np.zeros(n, np.int32), rows([draw]),
+        scene, Tracer(scene.arrays((0, 0, 0))), rows(points), rows(normals or [UP] * n),
+        rows(views or [(0, 0, -1)] * n), np.zeros(n, np.int32), rows([draw]),
     )  # fmt: skip
 
 

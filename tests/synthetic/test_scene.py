@@ -12,10 +12,13 @@ from zoedepth.synthetic.shapes import FAR, all_shapes
 METRES = st.floats(-50, 50)
 ANGLES = st.floats(-7, 7)
 PLACES = st.tuples(METRES, METRES, METRES)
+Point = tuple[float, float, float]
 
 
 @given(first=PLACES, second=PLACES, point=PLACES, one=ANGLES, other=ANGLES)
-def test_frames_within_frames_turn_and_shift(first, second, point, one, other) -> None:
+def test_frames_within_frames_turn_and_shift(
+    first: Point, second: Point, point: Point, one: float, other: float
+) -> None:
     frame = Scene().at(*first, one).at(*second, other)
     inner = turned(other, 0, 0) @ np.array(point) + second
     expected = turned(one, 0, 0) @ inner + first

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 pytest.importorskip("embreex")
 
@@ -16,12 +17,12 @@ from zoedepth.synthetic.trace import Tracer
 RNG = np.random.default_rng(5)
 
 
-def met_along(scene: Scene, origins: np.ndarray, directions: np.ndarray, *, smooth: bool = True) -> tuple[Arrays, Met]:
+def met_along(scene: Scene, origins: ArrayLike, directions: ArrayLike, *, smooth: bool = True) -> tuple[Arrays, Met]:
     arrays = scene.arrays((0, 0, 0))
-    origins, directions = np.array(origins, np.float32), np.array(directions, np.float32)
-    hits = Tracer(arrays).hits(origins, directions)
+    starts, rays = np.array(origins, np.float32), np.array(directions, np.float32)
+    hits = Tracer(arrays).hits(starts, rays)
     assert (hits.triangle >= 0).all()
-    return arrays, meet(arrays, hits, origins, directions, smooth=smooth)
+    return arrays, meet(arrays, hits, starts, rays, smooth=smooth)
 
 
 def test_products_are_those_of_numpy() -> None:

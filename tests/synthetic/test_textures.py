@@ -114,12 +114,12 @@ def test_wood_and_bark_run_along_their_grain() -> None:
 def test_windows_of_a_facade_mirror_and_its_wall_does_not() -> None:
     points = surface(*grid(240, 12.0), scale=3.0, half=6.0, pixel=0.01)
     colors = pattern_albedo("facade", points)
-    pane = points.mirror > 0.3
+    pane = np.asarray(points.mirror > 0.3)
     assert 0.08 < pane.mean() < 0.6
     assert points.mirror[~pane].min() == 0
     assert colors[pane].mean() < 0.25 * colors[points.mirror == 0].mean()  # it is dark behind windows
     # Four storeys of 3 m; the windows are at one height of each, above the floor and below the ceiling.
-    storeys = pane.reshape(4, 60, 240).any(2)
+    storeys = np.asarray(pane.reshape(4, 60, 240).any(axis=2))
     assert (storeys[1:] == storeys[1]).all()
     assert storeys[1, 25:38].sum() > 8  # a bar may cross them
     assert not storeys[:, :6].any()
