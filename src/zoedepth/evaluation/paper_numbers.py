@@ -75,7 +75,7 @@ class PaperDataset:
     """Real or Synthetic."""
     seen_in_training: bool
     train_samples: str | None
-    """As printed, e.g. "24k"."""
+    """Number as printed, e.g. "24k"."""
     eval_samples: int
     min_depth: float
     """Metres."""
@@ -107,7 +107,7 @@ class PaperSize:
     method: str
     encoder: str | None
     parameters: str | None
-    """As printed, e.g. "345M"."""
+    """Number as printed, e.g. "345M"."""
 
 
 @dataclass(frozen=True)

@@ -108,7 +108,7 @@ class FolderSource:
 
     Args:
         folder: where the depth maps are.
-        scale: PNG levels per metre, for files that do not say it; None takes what each file says.
+        scale: PNG levels per metre, for all PNGs of the folder; None takes what each file says.
 
     Raises:
         InputError: the folder does not exist.
@@ -133,7 +133,7 @@ class FolderSource:
             for suffix in (".png", ".npy", ".npz"):
                 path = self.folder / f"{name}{suffix}"
                 if path.is_file():
-                    return Prediction(read_depth(path, scale=self.scale if suffix == ".png" else None))
+                    return Prediction(read_depth(path, scale=self.scale))
         raise InputError(f"{self.folder} has no depth of {sample.name}: add {names[0]}.png, .npy or .npz to it")
 
 
