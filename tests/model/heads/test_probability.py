@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -57,6 +59,18 @@ def test_temperature_stays_between_its_bounds():
     flattest, sharpest = peak[2.0].min(), peak[0.5].max()
     assert (p.max(dim=1).values >= flattest - 1e-3).all()
     assert (p.max(dim=1).values <= sharpest + 1e-3).all()
+
+
+@torch.no_grad()
+def test_pairs_are_kept_from_zero_by_the_released_epsilon():
+    """Numbers of 2e-4 and 0, with 1e-4 added to each: three quarters of the range, for q and for t."""
+    predictor = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.5, max_temperature=2.0)
+    predictor.mlp[2].weight.zero_()
+    small = math.log(math.expm1(2e-4))  # softplus makes 2e-4 of it
+    predictor.mlp[2].bias.copy_(torch.tensor([small, -40.0, small, -40.0]))
+    found = predictor([torch.rand(1, 8, 1, 1)], torch.ones(1, 1, 1, 1)).probability
+    q, t = torch.full((1, 1, 1, 1), 0.75), torch.full((1, 1, 1, 1), 0.5 + 1.5 * 0.75)
+    assert torch.allclose(found, log_binomial(q, t, log_binomial_coefficients(16)), atol=1e-4)
 
 
 @pytest.mark.parametrize("factor", [2, 4])
