@@ -85,7 +85,7 @@ def test_imagenet_leaves_the_rest_of_the_model(tiny_config: ModelConfig) -> None
 
 
 def test_encoder_of_another_width_has_no_imagenet_weights(tiny_model: ZoeDepth) -> None:
-    with pytest.raises(InputError, match="nobody has ImageNet weights of a beit_base_patch16_384"):
+    with pytest.raises(InputError, match="there are no ImageNet weights of a beit_base_patch16_384"):
         start_from(tiny_model, "imagenet")
 
 
@@ -98,7 +98,7 @@ def test_weights_that_cannot_be_downloaded_are_an_error_that_names_them(
         raise ConnectionError(f"no network for {name}")
 
     monkeypatch.setattr("timm.create_model", offline)
-    with pytest.raises(InputError, match=r"tf_efficientnet_lite3 \(no network"):
+    with pytest.raises(InputError, match=r"tf_efficientnet_lite3 did not come \(no network"):
         start_from(model, "imagenet")
 
 
