@@ -109,6 +109,12 @@ def test_a_sample_is_augmented_anew_at_every_position() -> None:
     assert len({value for _, value in first([mixed[position] for position in range(20)])}) == 20
 
 
+def test_sample_says_from_which_data_set_it_is_and_its_augmentation_depends_on_the_seed() -> None:
+    mixed = mixture([1, 1], [1, 1])
+    assert [(mixed[i].source, mixed[i].name) for i in range(2)] == [(0, "data0/0"), (1, "data1/0")]
+    assert mixed[0].target[0, 0, 0] != mixture([1, 1], [1, 1], seed=1)[0].target[0, 0, 0]
+
+
 def test_epochs_and_seeds_and_data_sets_have_orders_of_their_own() -> None:
     def order(index: int, epoch: int, *, seed: int = 0) -> tuple[int, ...]:
         mixed = mixture([30, 30], [1, 1], seed=seed)
