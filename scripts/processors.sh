@@ -27,7 +27,7 @@ without_root() {
     return
   fi
   local drop=(setpriv --reuid=65534 --regid=65534 --clear-groups)
-  if ! "${drop[@]}" "$python" -c "import pytest, zoedepth" 2>/dev/null; then
+  if ! "${drop[@]}" env "$python" -c "import pytest, zoedepth" 2>/dev/null; then
     echo "User nobody cannot start $python: running as root with none of root's rights."
     drop=(setpriv --bounding-set=-all --inh-caps=-all)
   fi
