@@ -50,7 +50,7 @@ def loose(scene: Scene, *, gap: float) -> list[int]:
     """Return the parts that no chain of parts, at most ``gap`` metres apart, joins to one that touches the ground."""
     bounds = boxes(scene)
     low, high = bounds[:, 0], bounds[:, 1]
-    near = ((low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap)).all(-1)
+    near = np.all((low[:, None] <= high[None] + gap) & (low[None] <= high[:, None] + gap), axis=-1)
     held = low[:, 2] < 0.01
     while True:
         more = near[held].any(0) if held.any() else held

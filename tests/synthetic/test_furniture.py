@@ -12,7 +12,7 @@ from zoedepth.synthetic.scene import Frame, Scene
 
 Build = Callable[[Frame, Random, Style], None]
 SEEDS = range(25)
-PIECES: dict[str, tuple[Build, tuple[float, float], tuple[float, float, float], float]] = {
+PIECES: dict[str, tuple[Build, tuple[float, float], tuple[float, float], float]] = {
     # build, (half width, half depth) of the footprint, (lowest, highest) top and slack in metres
     "table": (lambda f, r, s: furniture.table(f, r, s, 1.5, 0.9, 0.75, things=0), (0.75, 0.6), (0.74, 0.76), 0.02),
     **{f"chair {kind}": (

@@ -111,7 +111,7 @@ def test_sun_is_parallel_and_shadowed() -> None:
     scene.at(0, 0).add("box", GRAY, (1, 1, 2))
     lit = direct(scene, [(5, 0, 0), (-1, 0, 0), (-3, 0, 0), (0, 0, 2.01)]).diffuse
     expected = np.array((3, 2, 1)) * 0.8
-    np.testing.assert_allclose(lit, [expected, (0, 0, 0), expected, expected], rtol=1e-5)
+    np.testing.assert_allclose(lit, np.array([expected, 0 * expected, expected, expected]), rtol=1e-5)
     assert (direct(scene, [(5, 0, 0)], [(-0.8, 0.0, 0.6)]).diffuse < 1e-6).all()  # it only grazes
     np.testing.assert_allclose(direct(scene, [(5, 0, 0)], [towards]).diffuse[0], (3, 2, 1), rtol=1e-5)
 
