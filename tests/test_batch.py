@@ -12,10 +12,11 @@ import torch
 from PIL import Image
 
 from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
+from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.images import read_image, to_image
 from zoedepth.outputs import OUTPUTS, Options
-from zoedepth.predict import DepthMap, Predictor
+from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
 
 

@@ -16,10 +16,10 @@ from PIL import Image
 from torch import Tensor, nn
 
 from zoedepth.config import INDOOR, OUTDOOR, ModelConfig, NaiveConfig, RouterConfig
+from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
-from zoedepth.predict import DepthMap, Predictor, reflect_pad
-from zoedepth.stored import read_depth
+from zoedepth.predict import Predictor
 
 
 class Brightness(ZoeDepth):
@@ -220,14 +220,6 @@ def test_overshoot_stays_positive() -> None:
     assert Predictor(Step())(photo).depth.min() == np.float32(1e-3)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (2, 3), (5, 4), (30, 40)])
-@pytest.mark.parametrize("padding", [(0, 0), (3, 0), (0, 5), (11, 9)])
-def test_reflect_pad_is_numpys(size: tuple[int, int], padding: tuple[int, int]) -> None:
-    x = torch.rand(2, 3, *size)
-    expected = np.pad(x.numpy(), ((0, 0), (0, 0), (padding[0],) * 2, (padding[1],) * 2), mode="reflect")
-    assert np.array_equal(reflect_pad(x, *padding).numpy(), expected)
-
-
 # --------------------------------------------------------------------------------------------------------- uncertainty
 
 
@@ -315,28 +307,6 @@ def test_relative_depth_needs_no_metric_head(tiny_model: ZoeDepth) -> None:
     assert np.array_equal(Predictor(bare).relative(photo), Predictor(tiny_model).relative(photo))
     with pytest.raises(InputError, match="relative depth only"):
         Predictor(bare)(photo)
-
-
-# -------------------------------------------------------------------------------------------------------------- saving
-
-
-def test_save_writes_in_the_format_of_the_suffix(brightness: Brightness, tmp_path: Path) -> None:
-    result = Predictor(brightness)(smooth((40, 60)))
-    result.save(tmp_path / "depth.png")
-    np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), result.depth, atol=5.1e-4)
-    result.save(tmp_path / "kitti.png", scale=256.0)
-    np.testing.assert_allclose(read_depth(tmp_path / "kitti.png", scale=256.0), result.depth, atol=2e-3)
-    for name in ("depth.npy", "depth.npz"):
-        result.save(tmp_path / name)
-        np.testing.assert_array_equal(read_depth(tmp_path / name), result.depth)
-    with np.load(tmp_path / "depth.npz") as arrays:
-        np.testing.assert_array_equal(arrays["std"], result.std)
-        np.testing.assert_array_equal(arrays["confidence"], result.confidence)
-    result.save(tmp_path / "depth.jpg")
-    with Image.open(tmp_path / "depth.jpg") as picture:
-        assert picture.size == result.preview().shape[1::-1]
-    with pytest.raises(InputError, match=r"depth\.txt"):
-        result.save(tmp_path / "depth.txt")
 
 
 # ------------------------------------------------------------------------------------------------ options and refusals

@@ -6,8 +6,8 @@ from skimage import data
 
 from zoedepth import Predictor, load_model
 from zoedepth.commands.demo import motorcycle_depth
+from zoedepth.depth_map import DepthMap
 from zoedepth.metrics import compute_metrics
-from zoedepth.predict import DepthMap
 from zoedepth.presets import PRESETS
 from zoedepth.weights.releases import RELEASES
 

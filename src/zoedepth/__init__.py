@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from zoedepth.build import build_model
     from zoedepth.config import ModelConfig
+    from zoedepth.depth_map import DepthMap
     from zoedepth.errors import InputError, ZoeDepthError
     from zoedepth.model.interface import DepthModel, DepthOutput
-    from zoedepth.predict import DepthMap, Predictor
+    from zoedepth.predict import Predictor
     from zoedepth.stored import read_depth
     from zoedepth.weights.load import ZoeDepth, available_models, load_model, push_to_hub, save_model
 
@@ -52,10 +53,10 @@ def __getattr__(name: str) -> object:
         from zoedepth.model import interface
 
         value = getattr(interface, name)
-    elif name in ("DepthMap", "Predictor"):
-        from zoedepth import predict
-
-        value = getattr(predict, name)
+    elif name == "DepthMap":
+        from zoedepth.depth_map import DepthMap as value
+    elif name == "Predictor":
+        from zoedepth.predict import Predictor as value
     elif name in ("ZoeDepth", "available_models", "load_model", "push_to_hub", "save_model"):
         from zoedepth.weights import load
 

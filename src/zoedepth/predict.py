@@ -4,84 +4,24 @@ import copy
 import math
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int, Shaped, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from zoedepth import colors
 from zoedepth.config import ModelConfig
+from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.images import DepthArray, ImageArray, to_image
 from zoedepth.model.interface import DepthModel, DepthOutput
-from zoedepth.outputs import Maps, Options, write_maps
+from zoedepth.pixels import reflect_pad, resize_pixels
 from zoedepth.sizes import network_size
 
 MAX_NETWORK_AREA = 16
 """A photo whose network input would be larger than this many times the trained size is refused."""
-
-
-@dataclass(frozen=True, eq=False)
-class DepthMap:
-    """The depth of one photo, at the photo's size."""
-
-    depth: DepthArray
-    """Metres along the optical axis (z, not the length of the ray); finite and positive everywhere."""
-    std: DepthArray | None
-    """Metres: standard deviation of the bin distribution, widened where the two mirrored predictions differ. None where
-    the model has no distribution: DORN, NeWCRFs, BTS and naive heads."""
-    domain: str
-    """Scene type whose head made this depth, e.g. "indoor"."""
-    domain_probability: dict[str, float]
-    """The router's probability of each scene type. Where there is no classifier, 1 for the only or the given one."""
-    image: ImageArray
-    """The photo."""
-    network_size: tuple[int, int]
-    """(height, width) at which the model saw the photo."""
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) of the photo and of the depth."""
-        return self.depth.shape[0], self.depth.shape[1]
-
-    @property
-    def maps(self) -> Maps:
-        """The arrays alone, for ``outputs``."""
-        return Maps(depth=self.depth, std=self.std, image=self.image)
-
-    @property
-    def confidence(self) -> DepthArray | None:
-        """1 / (1 + std / depth), in (0, 1]: 1 is certain, 0.5 is an uncertainty as large as the depth itself.
-
-        None where the model has no distribution over depth. It ranks pixels and photos but is no probability, for
-        nothing ties the spread of the bins to the true error.
-        """
-        return self.maps.confidence
-
-    def preview(self, *, vmin: float | None = None, vmax: float | None = None, colormap: str = "magma_r") -> ImageArray:
-        """Return the photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
-        return colors.preview(self.image, self.depth, vmin=vmin, vmax=vmax, colormap=colormap)
-
-    def save(self, path: str | Path, *, scale: float | None = None) -> None:
-        """Write the depth in the format of the suffix, whole or not at all.
-
-        .png holds 16 bits, with the scale in its text chunks (``zoedepth.read_depth`` reads it back). .npy holds
-        float32 metres. .npz holds the same as ``depth``, with ``std`` and ``confidence`` beside it. .jpg, .jpeg and
-        .webp hold the preview, a picture.
-
-        Args:
-            path: where to write; missing folders are made.
-            scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
-
-        Raises:
-            InputError: another suffix.
-        """
-        write_maps(path, self.maps, Options(png_scale=scale))
 
 
 class Predictor:
@@ -376,32 +316,6 @@ def _mirror_mean(straight: DepthOutput, mirrored: DepthOutput, *, domain: Int[Te
     if logits is not None and mirrored.domain_logits is not None:
         logits = (logits + mirrored.domain_logits) / 2
     return DepthOutput((one + other) / 2, None, domain, logits, std, None, None)
-
-
-def resize_pixels(
-    pixels: Float[Tensor, "batch 3 _ _"], size: tuple[int, int], *, antialias: bool
-) -> Float[Tensor, "batch 3 height width"]:
-    """Resize to what the network takes: bilinear with corners aligned, as released, or with a filter."""
-    if antialias:
-        return F.interpolate(pixels, size, mode="bilinear", align_corners=False, antialias=True).clamp(0, 1)
-    return F.interpolate(pixels, size, mode="bilinear", align_corners=True)
-
-
-def reflect_pad(x: Shaped[Tensor, "batch channels _ _"], vertical: int, horizontal: int) -> Shaped[Tensor, "..."]:
-    """Mirror the borders outwards without repeating the edge itself, as often as a tiny picture needs it."""
-    if vertical == horizontal == 0:
-        return x
-    rows = _reflected(x.shape[2], vertical, x.device)
-    columns = _reflected(x.shape[3], horizontal, x.device)
-    return x.index_select(2, rows).index_select(3, columns)
-
-
-def _reflected(side: int, padding: int, device: torch.device) -> Int[Tensor, " padded"]:
-    """Return the pixel that each place of a padded side shows: 2 1 0 1 2 3 2 1 for a side of 4 padded by 2."""
-    places = torch.arange(-padding, side + padding, device=device)
-    period = max(2 * (side - 1), 1)
-    places = places.remainder(period)
-    return torch.minimum(places, period - places) if side > 1 else torch.zeros_like(places)
 
 
 def _to_array(x: Float[Tensor, "1 1 height width"]) -> DepthArray:

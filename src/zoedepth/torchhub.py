@@ -17,7 +17,8 @@ from zoedepth.download import download
 from zoedepth.errors import InputError
 from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI
 from zoedepth.model.interface import DepthModel
-from zoedepth.predict import Predictor, resize_pixels
+from zoedepth.pixels import resize_pixels
+from zoedepth.predict import Predictor
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import download_folder

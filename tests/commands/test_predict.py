@@ -11,9 +11,10 @@ import torch
 from PIL import Image
 
 from zoedepth.cli import main
+from zoedepth.depth_map import DepthMap
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS
-from zoedepth.predict import DepthMap, Predictor
+from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
 
 

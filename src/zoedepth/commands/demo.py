@@ -15,7 +15,7 @@ from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
 
 if TYPE_CHECKING:
-    from zoedepth.predict import DepthMap
+    from zoedepth.depth_map import DepthMap
 
 # The camera of the photo at the size scikit-image ships it (docstring of skimage.data.stereo_motorcycle).
 FOCAL_PX = 994.978

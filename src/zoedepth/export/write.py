@@ -21,7 +21,7 @@ from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.export.wrapper import ExportModel
 from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
-from zoedepth.predict import resize_pixels
+from zoedepth.pixels import resize_pixels
 from zoedepth.sizes import network_size
 from zoedepth.weights.exported import METADATA, load_exported
 from zoedepth.weights.openvino_graph import make_products_unsigned
