@@ -20,7 +20,7 @@ class MissingExtraError(ZoeDepthError, ImportError):
 
     Args:
         extra: name of the extra in ``pyproject.toml``, e.g. "demo".
-        feature: what the user asked for, as the subject of a sentence, e.g. "zoedepth demo".
+        feature: the thing that the user asked for, as the subject of a sentence, e.g. "zoedepth demo".
     """
 
     def __init__(self, extra: str, feature: str) -> None:

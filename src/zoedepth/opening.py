@@ -47,7 +47,7 @@ def open_dataset(
 
     Args:
         source: a file, folder or address; see ``ACCEPTED``, or docs/your-data.md.
-        name: what the data is called. The name of a published data set, such as nyu, tells how to read its official
+        name: the name of the data. The name of a published data set, such as nyu, tells how to read its official
             folder, unless a list, an index or saved data in the folder shows that it is your own.
         split: which list, folder or split to take, where there are several.
         allow_missing: accept photos without depth, where the format can say that there is none.

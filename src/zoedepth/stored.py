@@ -50,7 +50,7 @@ class Memory(BytesIO):
 
     Args:
         content: its bytes.
-        name: what to call it in messages.
+        name: the name of the file for messages.
         suffix: the suffix of its format, lower case, with the dot.
     """
 
@@ -282,7 +282,7 @@ def parse_json(content: str | bytes, where: str, *, max_bytes: int = MAX_TEXT) -
 
     Args:
         content: the text.
-        where: what to call it in messages.
+        where: the name of the text for messages.
         max_bytes: the longest text that is parsed.
 
     Raises:

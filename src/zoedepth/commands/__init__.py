@@ -1,1 +1,1 @@
-"""What the command line calls: one function a command. None imports torch before it has read its options."""
+"""The functions of the command line, one for each command. None imports torch before it has read its options."""

@@ -29,7 +29,7 @@ def shard(
     Args:
         source: data in any form, see docs/your-data.md.
         out: folder for NAME-000000.tar ... and index.json.
-        name: what the shards are called; for a published data set, its name. None calls them data.
+        name: the beginning of the shards' names; for a published data set, its name. None calls them data.
         split: which list, folder or split of the source to take.
         shard_size: how large a shard may become: 500MB, 2GB, or a number of samples.
         depth_scale: the stored value of one metre, where the source does not say it.

@@ -17,7 +17,7 @@ _CAMERA = ("fx", "fy", "cx", "cy")
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What is said about a photo and its depth; None where nothing is said."""
+    """Facts about a photo and its depth that stand beside the files; None where nobody says one."""
 
     depth_scale: float | None = None
     """The stored value of one metre."""

@@ -83,7 +83,7 @@ class HuggingFaceDataset(Dataset[Sample]):
 
     Args:
         data: the rows.
-        name: what to call them in messages and names.
+        name: a name for them in messages and in the samples' names.
         depth_scale: the stored value of one metre.
         domain: scene type of all photos.
         folder: has the ``dataset.json`` that may say what the arguments do not.

@@ -44,7 +44,7 @@ def read_list(path: Path, defaults: Facts) -> list[Pair]:
 
     Args:
         path: the list.
-        defaults: what holds for lines that do not say it themselves.
+        defaults: facts for the lines that do not say them.
 
     Raises:
         InputError: the list is not text, is empty, or has a malformed line, which is named.

@@ -27,7 +27,7 @@ class Sample:
     mask: Bool[Tensor, "1 height width"]
     """True where the target is known."""
     kind: Target
-    """What the target is."""
+    """The kind of the target: depth or disparity."""
     domain: str
     """Scene type: "indoor", "outdoor" or your own."""
     name: str

@@ -31,13 +31,13 @@ def to_sample(
     Args:
         photo: uint8 (height, width, 3).
         stored: the map, of the size of the photo; None where nothing is known.
-        kind: what the map is.
-        facts: what is said about this photo.
+        kind: "depth" or "disparity".
+        facts: the facts about this photo.
         default_scale: the stored value of one metre for files of which nobody says it.
         mask: False where the target is not valid.
         mask_decides: disparity that is not positive is known, too, where the mask (if there is one) says so.
-        name: what the sample is called.
-        files: what photo and target are called in messages.
+        name: the name of the sample.
+        files: names of the photo and of the target for messages.
 
     Raises:
         InputError: sizes differ, or nobody says the unit.

@@ -36,8 +36,8 @@ def write_report(
 
     Args:
         folder: where the scores and pictures of the evaluation are.
-        summaries: of all sources on all data sets.
-        tables: those of ``tables.report_tables``.
+        summaries: one for each source on each data set.
+        tables: the result of ``tables.report_tables``.
         command: how the evaluation was started; the report quotes it. It may be empty.
         pictures: data set → (caption, file in the folder).
     """

@@ -72,7 +72,7 @@ def report_tables(
     """Make three tables for each data set: the metrics, further measures, and REL by true depth.
 
     Args:
-        summaries: of all sources on all data sets.
+        summaries: one for each source on each data set.
         paper: data set → (method, metric → value as printed) of the paper.
     """
     found = []
@@ -92,7 +92,7 @@ def results_table(
     """Set the metrics of all sources on one data set, best values in bold; the paper's rows stand below.
 
     Args:
-        summaries: those of this data set.
+        summaries: the summaries of all sources on this data set.
         data: its name.
         paper: (method, metric → value as printed) of the paper; they are not compared with ours.
     """

@@ -105,7 +105,7 @@ def scan(paths: Sequence[Path], defaults: Facts) -> Index:
 
     Args:
         paths: tar files, not compressed.
-        defaults: what holds for samples that do not say it themselves.
+        defaults: facts for the samples that do not say them.
 
     Raises:
         InputError: a file is damaged or no tar file, or a sample has no photo, depth or domain.

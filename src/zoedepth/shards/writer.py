@@ -90,7 +90,7 @@ def write_shards(
     Args:
         dataset: the samples.
         out: folder for the shards; made if need be.
-        name: what the names of the shards begin with: letters, digits, - and _.
+        name: the beginning of the shards' names: letters, digits, - and _.
         size: how large a shard may become; a shard always takes one sample, however large.
         workers: processes that read and pack; 0 takes this one.
         track: gets the samples and the number of the first one to write, gives them on, and shows progress.

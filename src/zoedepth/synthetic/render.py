@@ -47,7 +47,7 @@ def render(scene: Scene, arrays: Arrays, tracer: Tracer, view: View, rng: np.ran
 
     Args:
         arrays: the scene's triangles.
-        tracer: the same triangles, ready for rays.
+        tracer: the scene's triangles, ready for rays.
         rng: shifts the patterns and the noise of the soft shadows.
     """
     table = material_table(arrays.materials, rng)

@@ -50,7 +50,7 @@ class Light(NamedTuple):
     half_u: tuple[float, float, float]
     """From the centre to the middle of a side; for a lamp the radius along an axis."""
     half_v: tuple[float, float, float]
-    """The same along the other axis."""
+    """From the centre to the middle of the next side; for a lamp the radius along the other axis."""
     facing: tuple[float, float, float] | None = None
     """Unit direction that a window shines in; None for a lamp, which shines everywhere."""
 

@@ -49,7 +49,7 @@ class Tracer:
 
         Args:
             origins: one point for all rays, or one each.
-            directions: of any length.
+            directions: vectors of any length.
         """
         found = self._scene.run(_rows(origins, len(directions)), np.ascontiguousarray(directions), output=1)
         triangle = found["primID"]
