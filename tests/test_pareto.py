@@ -81,6 +81,42 @@ def test_frank_wolfe_agrees_with_projected_gradients_on_twelve_tasks(seed: int):
     assert (found - projected_gradient(gram)).abs().max() < 1e-3
 
 
+def similar_gradients(seed: int, n: int = 5) -> Tensor:
+    """Gradients that are closer than right angles, of similar lengths: mixtures of pairs differ little."""
+    generator = torch.Generator().manual_seed(seed)
+    gradients = 1 + torch.randn(n, 40, generator=generator, dtype=torch.float64)
+    lengths = 1 + 0.2 * torch.rand(n, 1, generator=generator, dtype=torch.float64)
+    return lengths * gradients / gradients.norm(dim=1, keepdim=True)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_steps_begin_at_the_pair_with_the_shortest_mixture(seed: int):
+    gradients = similar_gradients(seed)
+    lengths = {
+        (i, j): min(float((share * g + (1 - share) * h).norm()) for share in torch.linspace(0, 1, 501))
+        for i, g in enumerate(gradients)
+        for j, h in enumerate(gradients)
+        if i < j
+    }
+    found = min_norm_weights(gradients @ gradients.T, max_iterations=0)
+    i, j = min(lengths, key=lambda pair: lengths[pair])
+    assert float(found[i] + found[j]) == pytest.approx(1)
+    assert float((found @ gradients).norm()) == pytest.approx(lengths[i, j], abs=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_step_goes_as_far_as_it_helps(seed: int):
+    """It ends where the mixture is shortest on its line, or where the task that gives weight has none left."""
+    gradients = similar_gradients(seed)
+    gram = gradients @ gradients.T
+    before, after = min_norm_weights(gram, max_iterations=0), min_norm_weights(gram, max_iterations=1)
+    moved = after - before
+    to, origin = int(moved.argmax()), int(moved.argmin())
+    slope = float((gradients[to] - gradients[origin]) @ (after @ gradients))
+    assert moved[to] > 0
+    assert slope == pytest.approx(0, abs=1e-9) or (after[origin] == 0 and slope < 0)
+
+
 @settings(deadline=None, max_examples=50)
 @given(seed=st.integers(0, 10_000), n=st.integers(2, 12), size=st.integers(1, 30), scale=st.floats(1e-6, 1e6))
 def test_no_task_gets_worse(seed: int, n: int, size: int, scale: float):
@@ -107,3 +143,9 @@ def test_normalizers_divide_the_gradients():
     for name, values in expected.items():
         found = normalized(gram, losses, name)
         torch.testing.assert_close(found, torch.tensor(values, dtype=torch.float64))
+
+
+def test_normalizers_divide_small_gradients_and_losses_too():
+    gram = torch.tensor([[0.04, 0.02], [0.02, 0.09]])
+    found = normalized(gram, torch.tensor([0.2, 0.5]), "loss+")
+    torch.testing.assert_close(found, torch.tensor([[25, 10 / 3], [10 / 3, 4]], dtype=torch.float64))
