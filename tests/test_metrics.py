@@ -113,6 +113,13 @@ def test_pooled_equals_the_metrics_of_all_pixels_and_does_not_depend_on_the_orde
     assert mean_metrics([s.metrics() for s in sums]) == mean_metrics([s.metrics() for s in sums[::-1]])
 
 
+def test_sums_of_one_set_are_unchanged_even_of_one_pixel():
+    for n in (1, 2):
+        sums = pixel_sums(np.arange(2.0, 2 + n), np.ones(n))
+        assert add_sums([sums]) == sums
+        assert isinstance(add_sums([sums]).n_pixels, int)
+
+
 def test_no_pixels_have_no_metrics():
     assert add_sums([]).n_pixels == 0
     with pytest.raises(InputError, match="no pixel"):

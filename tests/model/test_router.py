@@ -138,6 +138,20 @@ def test_transformer_sees_where_things_are():
     assert not torch.allclose(network(x, None).logits, network(x.flip(3), None).logits, atol=1e-4)
 
 
+def test_transformer_scores_its_class_token():
+    """Zeros before the pixels, a code of each one's place, the layers, then an MLP on what became of the zeros."""
+    network, x = router("trained", classifier="transformer"), bottleneck()
+    classifier = network.classifier
+    pixels = torch.einsum("bchw,dc->bhwd", x, classifier.project.weight[:, :, 0, 0]) + classifier.project.bias
+    tokens = torch.cat([torch.zeros(len(x), 1, 16), pixels.flatten(1, 2)], dim=1) + positional_code(7, 16)
+    for layer in classifier.transformer.layers:
+        tokens = layer(tokens)
+    first, _, last = classifier.mlp
+    hidden = (tokens[:, 0] @ first.weight.T + first.bias).clamp(min=0)
+    expected = hidden @ last.weight.T + last.bias
+    torch.testing.assert_close(network(x, None).logits, expected, rtol=1e-4, atol=1e-5)
+
+
 def test_transformer_has_the_released_size():
     """Four post-norm layers of width 128, feed-forward 1024, on a bottleneck of 256: 1,369,090 weights."""
     config = replace(RouterConfig(), classifier="transformer", width=128)
