@@ -55,6 +55,13 @@ def test_silog_of_a_constant_factor_is_what_beta_leaves():
     assert free.item() == pytest.approx(0, abs=2e-3)
 
 
+def test_silog_of_depths_near_zero_is_that_of_eps_more():
+    # g = (ln 2, ln 3): mean (ln 6) / 2, unbiased variance (ln 1.5)^2 / 2
+    loss = silog(maps([[1.0, 2.0]]), maps([[0.0, 0.0]]), torch.ones(1, 1, 1, 2, dtype=torch.bool), eps=1.0)
+    expected = 10 * math.sqrt(math.log(1.5) ** 2 / 2 + 0.15 * math.log(6) ** 2 / 4)
+    assert loss.item() == pytest.approx(expected, rel=1e-5)
+
+
 def test_silog_takes_its_statistics_over_the_batch():
     # Each image alone has no variance; together g = (ln 2, ln 2, 0, 0) has: sum of squares 4 (ln 2 / 2)^2, over 3.
     prediction, target = maps([[2.0, 2.0]], [[1.0, 1.0]]), torch.ones(2, 1, 1, 2)
@@ -261,6 +268,27 @@ def test_image_with_few_known_pixels_is_left_out():
     assert both != pytest.approx(alone, rel=1e-3)
 
 
+def test_image_counts_from_a_hundred_known_pixels_on():
+    prediction, target, _ = random_maps()
+    mask = torch.zeros_like(target, dtype=torch.bool)
+    mask.flatten(1)[0, :100] = True
+    mask.flatten(1)[1, :99] = True
+    losses, counted = losses_of_images(prediction, target, mask)
+    assert counted.tolist() == [True, False]
+    assert losses[0] > 0
+    assert losses[1] == 0
+
+
+def test_relative_loss_has_four_scales():
+    prediction, target, mask = random_maps(size=(20, 24))
+    found, four, five = (
+        losses_of_images(prediction, target, mask, **scales)[0].tolist()
+        for scales in ({}, {"n_scales": 4}, {"n_scales": 5})
+    )
+    assert found == four
+    assert found[0] < five[0]
+
+
 def test_relative_loss_takes_a_gradient_weight_for_each_image():
     prediction, target, mask = random_maps()
     losses, counted = losses_of_images(prediction, target, mask, gradient_weight=torch.tensor([0.5, 0.0]))
@@ -325,9 +353,10 @@ def test_prediction_where_the_target_is_unknown_does_not_matter(loss: Callable[.
 
 
 @LOSSES
-def test_nothing_known_is_no_loss_and_no_gradient(loss: Callable[..., Tensor]):
+@pytest.mark.parametrize("factor", [0.0, 1.0])
+def test_nothing_known_is_no_loss_and_no_gradient(loss: Callable[..., Tensor], factor: float):
     prediction, target, mask = random_maps()
-    prediction.requires_grad_()
+    prediction = (factor * prediction).requires_grad_()
     result = loss(prediction, target, torch.zeros_like(mask))
     result.backward()
     assert result.item() == 0

@@ -91,14 +91,15 @@ def test_bins_of_images_are_compared_with_the_known_depths_of_each():
     assert torch.allclose(found, wanted, atol=1e-6)
 
 
-def test_image_without_known_depth_does_not_count():
-    (target, mask), centers = scene(batch=2), random_bins(2, 5)
-    mask[1] = False
+@pytest.mark.parametrize("unknown", [0, 1, 2])
+def test_image_without_known_depth_does_not_count(unknown: int):
+    (target, mask), centers = scene(), random_bins(3, 5)
+    mask[unknown] = False
     loss = bins_chamfer(centers, target, mask)
-    assert loss.item() == pytest.approx(by_loops(centers[0], target[0][mask[0]]).item(), rel=1e-5)
+    others = [by_loops(centers[i], target[i][mask[i]]).item() for i in range(3) if i != unknown]
+    assert loss.item() == pytest.approx(sum(others) / 2, rel=1e-5)
     loss.backward()
-    assert centers.grad[0].abs().sum() > 0
-    assert (centers.grad[1] == 0).all()
+    assert [bool(gradient.any()) for gradient in centers.grad] == [i != unknown for i in range(3)]
 
 
 def test_no_known_depth_at_all_is_no_loss():

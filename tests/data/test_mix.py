@@ -45,6 +45,11 @@ def mixture(sizes: list[int], weights: list[int], *, seed: int = 0, turn: int = 
     return Mixture(sources, seed=seed, turn=turn)
 
 
+def test_data_sets_take_turns_within_a_batch_unless_told_otherwise():
+    mixed = Mixture([Component(Numbered("one", 3), []), Component(Numbered("two", 3), [])], seed=0)
+    assert [mixed.locate(position)[0] for position in range(6)] == [0, 1, 0, 1, 0, 1]
+
+
 @st.composite
 def mixtures(draw: st.DrawFn) -> tuple[list[int], list[int], int, int]:
     """(sizes, weights, turn, seed)"""

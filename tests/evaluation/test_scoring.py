@@ -138,7 +138,8 @@ def test_errors_outside_the_crop_do_not_count_and_all_inside_do(
 )
 def test_photo_without_a_scored_pixel_has_no_score(truth: object, protocol: Protocol) -> None:
     depth = prediction_of(np.full(np.shape(truth), 2.0), std=np.ones(np.shape(truth)))
-    assert score(depth, sample_of(truth), protocol) == Score("photo.jpg", "indoor", None, None)
+    routed = depth._replace(domain="outdoor")
+    assert score(routed, sample_of(truth), protocol) == Score("photo.jpg", "indoor", "outdoor", None)
 
 
 # ---------------------------------------------------------------------------------------------------- which values
@@ -237,6 +238,29 @@ def test_disparity_of_zero_or_less_is_as_far_as_the_cap() -> None:
     truth = np.array([[1.0, 2.0, 0.0, 0.0]])
     found = aligned_depth(prediction_of([[2.0, 1.0, 0.0, -3.0]], relative=True), truth, truth > 0, DISPARITY)
     np.testing.assert_allclose(found, [[1.0, 2.0, 10.0, 10.0]])
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_depth_that_is_no_number_is_replaced_before_the_median_alignment(factor: float) -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0, 0.0]])
+    depth = [[1 / factor, 2 / factor, 4 / factor, math.nan, math.inf, -math.inf]]
+    found = aligned_depth(prediction_of(depth), truth, truth > 0, MEDIAN)
+    near, far = max(factor * 1e-3, 1e-3), min(factor * 10, 10)
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, near, far, near]])
+
+
+def test_disparity_that_is_no_number_is_replaced_before_the_alignment() -> None:
+    # It halves and adds 0.2: of 1 / 1e-3 and 0 it makes 500.2 and 0.2.
+    truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0, 0.0]])
+    relative = [[1.6, 0.6, 0.1, math.nan, math.inf, -math.inf]]
+    found = aligned_depth(prediction_of(relative, relative=True), truth, truth > 0, DISPARITY)
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1 / 500.2, 1 / 500.2, 5.0]], rtol=1e-5)  # float32 has no 1.6
+
+
+def test_depth_that_is_no_number_counts_as_nearest_where_its_inverse_is_aligned() -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0]])
+    found = aligned_depth(prediction_of([[1.0, 2.0, 4.0, math.nan, math.inf]]), truth, truth > 0, DISPARITY)
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1e-3, 10.0]])
 
 
 def test_disparity_that_is_no_number_counts_as_nearest_and_minus_infinity_as_farthest() -> None:
