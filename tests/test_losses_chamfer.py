@@ -241,6 +241,18 @@ def test_window_needs_more_than_half_of_its_pixels():
     assert (centers[0].grad == 0).all()
 
 
+@pytest.mark.parametrize(
+    ("left", "right", "points"),
+    [(0.7, 1.7, [2.0]), (-3.0, 6.0, [1.0, 1.0, 1.0, 1.0, 2.0, 4.0, 4.0, 4.0, 4.0])],
+    ids=["between pixels", "over the border"],
+)
+def test_window_reads_the_pixel_at_the_middle_of_each_of_its_columns(left: float, right: float, points: list[float]):
+    target = torch.tensor([[[[1.0, 2.0, 4.0]]]])
+    box, center = torch.tensor([[[left / 3, 0.0, right / 3, 1.0]]]), torch.zeros(1, 1, 1)
+    loss = window_bins_chamfer(box, (center,), target, target > 0, n_sizes=1)
+    assert loss.item() == pytest.approx(min(points) ** 2 + sum(x**2 for x in points) / len(points), rel=1e-5)
+
+
 def test_windows_of_several_processes_are_one_batch():
     (target, mask), (_, boxes) = scene(batch=3, size=SIZE, known=0.6), windows(batch=3)
     centers = tuple(random_bins(3, 15, n) for n in (2, 4))
