@@ -41,9 +41,9 @@ PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
-# A picture with more pixels than _FREE_PIXELS must have a byte for every 32 pixels. Photographs take 2 to 10 bits a
-# pixel, a quarter of a bit at the very least, while half a megabyte of zeros can unpack to MAX_PIXELS.
-_FREE_PIXELS, _PIXELS_PER_BYTE = 4096 * 4096, 32
+# A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Photographs unpack to 2 to 20 times
+# their size, scattered points of lidar to 100 times, while half a megabyte of zeros can unpack to half a gigabyte.
+_FREE_BYTES, _MAX_RATIO = 64 << 20, 128
 _MAX_SCANS = 100  # progressive JPEGs have about ten
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
@@ -170,18 +170,33 @@ def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: i
     if n_pixels > max_pixels:
         raise InputError(f"{claim}, over the limit of {max_pixels:,}: resize it")
     place = file.tell()
-    n_bytes = file.seek(0, os.SEEK_END)
-    if n_pixels > max(_FREE_PIXELS, _PIXELS_PER_BYTE * n_bytes):
-        raise InputError(
-            f"{claim} in {n_bytes:,} bytes, fewer than any photograph needs: "
-            f"resize it to at most {_FREE_PIXELS:,} pixels, or save it with less compression"
-        )
+    try:
+        check_expansion(3 * n_pixels, file.seek(0, os.SEEK_END))
+    except ValueError as error:
+        raise InputError(f"{claim}: {error}. Resize it, or save it with less compression") from error
     if picture.format in ("JPEG", "MPO"):
         file.seek(0)
         # Each scan of a JPEG passes over the whole picture, and can be as short as a few bytes.
         if file.read().count(b"\xff\xda") > _MAX_SCANS:
             raise InputError(f"{name} has more than {_MAX_SCANS} scans: save it again as an ordinary JPEG")
     file.seek(place)
+
+
+def check_expansion(unpacked: int, packed: int) -> None:
+    """Refuse a file that unpacks to far more than it is large.
+
+    Args:
+        unpacked: bytes that its content takes in memory.
+        packed: bytes of the file.
+
+    Raises:
+        ValueError: it does; the message says by how much, and is to be put behind the name of the file.
+    """
+    if unpacked > max(_FREE_BYTES, _MAX_RATIO * packed):
+        raise ValueError(
+            f"{packed:,} bytes would unpack to {unpacked:,}, more than {_MAX_RATIO} times as many, "
+            "which no photo and no map of depth needs"
+        )
 
 
 def check_tiles(picture: Image.Image) -> None:

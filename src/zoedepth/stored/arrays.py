@@ -1,0 +1,83 @@
+"""Arrays as NumPy and the portable float map store them: .npy, .npz, .pfm."""
+
+import zipfile
+from io import BytesIO
+from math import prod
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from jaxtyping import Float32
+
+from zoedepth.images import check_expansion
+from zoedepth.stored.files import PIECE, BoundedFile, Map, Memory, check_map, read_binary
+
+_MAX_NPY_HEADER = 10_000
+
+
+def read_npy(file: Path | Memory) -> Map:
+    """Read the one map of an .npy file; an axis of length one at either end is dropped. Pickled objects are refused."""
+    return read_binary(file, _parse_npy, "a readable .npy with one map of numbers")
+
+
+def read_npz(file: Path | Memory) -> Map:
+    """Read the array ``depth`` of an .npz file. Pickled objects are refused."""
+    return read_binary(file, _parse_npz, "a readable .npz with one map of depth")
+
+
+def read_pfm(path: Path) -> Float32[np.ndarray, "height width"]:
+    """Read a portable float map of one channel. Its rows are stored from the bottom up; here the top one is first."""
+    return read_binary(path, _parse_pfm, "a readable PFM of one channel")
+
+
+def _parse_npz(file: IO[bytes]) -> np.ndarray:
+    bounded: Any = BoundedFile(file, max_bytes=PIECE)  # as much of a file as zipfile uses
+    with zipfile.ZipFile(bounded) as archive:
+        names = archive.namelist()
+        if "depth.npy" not in names:
+            raise ValueError(f"it has no array 'depth', but {[Path(name).stem for name in names[:5]]}")
+        member = archive.getinfo("depth.npy")
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError("its array 'depth' is compressed in a way that numpy does not use")
+        check_expansion(member.file_size, member.compress_size)
+        with archive.open(member) as opened:
+            return _parse_npy(opened)
+
+
+def _parse_npy(file: IO[bytes]) -> np.ndarray:
+    """Read a map, and look at its size before any of it is unpacked."""
+    # numpy reads a header of whatever length the file claims before it checks that: give it the start of the file only.
+    start = BytesIO(file.read(_MAX_NPY_HEADER))
+    version = np.lib.format.read_magic(start)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in readers:
+        raise ValueError(f"version {version} is not for plain numbers")
+    shape, fortran, dtype = readers[version](start, max_header_size=_MAX_NPY_HEADER)
+    sides = shape
+    if len(shape) == 3 and 1 in (shape[0], shape[-1]):
+        sides = shape[:-1] if shape[-1] == 1 else shape[1:]
+    check_map(sides, dtype)
+    content = _read_exactly(file, prod(sides) * dtype.itemsize, begun=start.read())
+    values = np.frombuffer(content, dtype, prod(sides)).reshape(shape, order="F" if fortran else "C")
+    return values.reshape(sides)
+
+
+def _parse_pfm(file: IO[bytes]) -> Float32[np.ndarray, "height width"]:
+    kind, size, scale = (file.readline(100).decode("ascii").strip() for _ in range(3))
+    width, height = (int(side) for side in size.split())
+    order = "<" if float(scale) < 0 else ">"
+    if kind != "Pf" or width < 1 or height < 1:
+        raise ValueError(f"it is a {kind!r} of {width} x {height}, not a 'Pf'")
+    check_map((height, width), np.dtype(np.float32))
+    content = _read_exactly(file, 4 * width * height)
+    return np.frombuffer(content, f"{order}f4").reshape(height, width)[::-1].astype(np.float32)
+
+
+def _read_exactly(file: IO[bytes], size: int, *, begun: bytes = b"") -> bytearray:
+    """Read the rest of ``size`` bytes, in pieces: a file that holds less than it promises costs only what it holds."""
+    content = bytearray(begun[:size])
+    while len(content) < size and (piece := file.read(min(size - len(content), PIECE))):
+        content += piece
+    if len(content) < size:
+        raise ValueError(f"it is cut short: {size - len(content):,} of {size:,} bytes are missing")
+    return content

@@ -1,0 +1,78 @@
+"""Maps in HDF5 files, whose chunks are looked at before the library unpacks them."""
+
+import zlib
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.images import check_expansion
+from zoedepth.stored.files import PIECE, Map, check_exists, check_map
+
+_MAX_CHUNKS = 1 << 16
+_MAX_LZF_BYTES = 1 << 27
+_LZF_RATIO = 88  # three bytes stand for 264 at most
+
+
+def read_hdf5(path: Path, key: str) -> Map:
+    """Read the map under a key of an HDF5 file.
+
+    Raises:
+        InputError: there is no such map, or it is damaged, too large, or partly in other files.
+        MissingExtraError: h5py is not installed.
+    """
+    try:
+        import h5py
+    except ImportError as error:
+        raise MissingExtraError("data", f"reading {path.name}") from error
+    check_exists(path)
+    try:
+        with h5py.File(path, "r") as file:
+            if isinstance(file.get(key, getlink=True), h5py.ExternalLink):
+                raise ValueError(f"{key!r} is in another file")
+            found = file[key]
+            if not isinstance(found, h5py.Dataset):
+                raise ValueError(f"{key!r} is not an array")
+            check_map(found.shape, found.dtype)
+            _check_chunks(found)
+            check_expansion(found.size * found.dtype.itemsize, path.stat().st_size)
+            return np.asarray(found)
+    except Exception as error:  # h5py raises OSError, KeyError, RuntimeError and others on a damaged file
+        raise InputError(f"{path} is not an HDF5 file with a map {key!r} ({error})") from error
+
+
+def _check_chunks(dataset: Any) -> None:
+    """Refuse an HDF5 array whose chunks unpack to more than they should, or that leads to other files.
+
+    HDF5 allows a chunk larger than its map, chunks without number, filters upon filters, and unpacks a chunk to
+    whatever size it turns out to have.
+    """
+    import h5py
+
+    if dataset.is_virtual or dataset.external:
+        raise ValueError("its values are in other files")
+    if dataset.chunks is None:
+        return
+    if prod(dataset.chunks) > max(dataset.size, PIECE):
+        raise ValueError(f"its chunks of {dataset.chunks} are larger than the map")
+    if prod(-(-side // chunk) for side, chunk in zip(dataset.shape, dataset.chunks, strict=True)) > _MAX_CHUNKS:
+        raise ValueError(f"it has more than {_MAX_CHUNKS:,} chunks")
+    plan = dataset.id.get_create_plist()
+    filters = [plan.get_filter(number)[0] for number in range(plan.get_nfilters())]
+    packers = [code for code in filters if code not in (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32)]
+    if packers not in ([], [h5py.h5z.FILTER_DEFLATE], [h5py.h5z.FILTER_LZF]):
+        raise ValueError(f"it is compressed by the filters {packers}; repack it with gzip: h5repack -f GZIP=4")
+    limit = prod(dataset.chunks) * dataset.dtype.itemsize
+    for number in range(dataset.id.get_num_chunks() if packers else 0):
+        skipped, packed = dataset.id.read_direct_chunk(dataset.id.get_chunk_info(number).chunk_offset)
+        if skipped >> filters.index(packers[0]) & 1:  # this chunk is not packed
+            continue
+        unpacker = zlib.decompressobj()
+        if packers == [h5py.h5z.FILTER_LZF]:
+            larger = len(packed) * _LZF_RATIO > _MAX_LZF_BYTES
+        else:
+            larger = unpacker.decompress(packed, limit + 64) and unpacker.unconsumed_tail
+        if larger:
+            raise ValueError(f"a chunk unpacks to more than its {limit:,} bytes")

@@ -1,0 +1,140 @@
+"""Maps of depth and masks in files of any format: what a value means is said by the file, or by the caller."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, UInt16
+from PIL import Image
+
+from zoedepth.errors import InputError
+from zoedepth.images import MAX_PIXELS, DepthArray, check_expansion, check_tiles
+from zoedepth.stored.arrays import read_npy, read_npz
+from zoedepth.stored.exr import read_exr
+from zoedepth.stored.files import Map, Memory, check_exists
+
+DEPTH_SUFFIXES = (".png", ".npy", ".npz", ".exr", ".tif", ".tiff")
+"""Suffixes (lower case) of files that can hold depth."""
+
+SCALE_KEY = "DepthScale"
+"""The PNG text chunk in which this package says the unit of the depth it writes: the stored value of one metre."""
+
+_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}  # a pixel in memory, by mode; others have 4
+_PICTURES = {".png": "PNG", ".tif": "TIFF", ".tiff": "TIFF"}
+
+
+class StoredMap(NamedTuple):
+    """A map as a file has it."""
+
+    values: Map
+    scale: float | None = None
+    """The stored value of one metre, where the file itself says it."""
+
+
+def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
+    """Read a depth map: float32 (height, width) in metres, 0 where there is no depth.
+
+    Args:
+        path: a PNG or TIFF of one channel; an .npy, an .npz with an array ``depth``, or an .exr, in metres.
+        scale: stored value of one metre in a PNG or TIFF, for example 1000 for millimetres. None takes the number that
+            ``write_depth`` left in the PNG.
+
+    Raises:
+        InputError: the file is missing, damaged or too large, has another format, is not one channel of 16 bits or
+            more, or nobody says its scale.
+        MissingExtraError: an .exr, and OpenEXR is not installed.
+    """
+    path = Path(path)
+    stored = read_stored(path)
+    if path.suffix.lower() not in _PICTURES or stored.values.dtype.kind == "f":
+        return stored.values.astype(np.float32, copy=False)
+    if stored.values.dtype.itemsize < 2:
+        raise InputError(f"{path} is not a depth map: it has 8 bits a pixel. Give a PNG of one channel of 16 bits")
+    scale = scale or stored.scale
+    if scale is None:
+        raise InputError(f"{path} does not say its scale: pass scale=1000 for millimetres, or scale=256 for KITTI's")
+    return stored.values.astype(np.float32) / np.float32(scale)
+
+
+def read_stored(file: Path | Memory) -> StoredMap:
+    """Read the map of a file: a PNG or TIFF of one channel, an .npy, an .npz with an array ``depth``, or an .exr.
+
+    Raises:
+        InputError: the file is missing, damaged or too large, has another format, or more than one channel.
+        MissingExtraError: an .exr, and OpenEXR is not installed.
+    """
+    suffix = file.suffix.lower()
+    if suffix in _PICTURES:
+        return _read_picture(file, _PICTURES[suffix])
+    if suffix == ".exr" and isinstance(file, Path):
+        return StoredMap(read_exr(file))
+    if suffix == ".npy":
+        return StoredMap(read_npy(file))
+    if suffix == ".npz":
+        return StoredMap(read_npz(file))
+    raise InputError(f"cannot read depth from {file}: use one of {', '.join(DEPTH_SUFFIXES)} (.exr not inside a shard)")
+
+
+def declared_scale(path: Path) -> float | None:
+    """Return the stored value of one metre that a PNG declares in its text; None where it does not, or is no PNG."""
+    try:
+        with Image.open(path, formats=["PNG"]) as picture:  # reads no more than the header
+            return _scale_in(picture)
+    except Exception:  # whoever reads the map says what is wrong with the file
+        return None
+
+
+def read_mask(file: Path | Memory) -> Bool[np.ndarray, "height width"]:
+    """Return True where a PNG of one channel, of 1 to 16 bits, is not zero.
+
+    Raises:
+        InputError: the file is missing, damaged or too large, or has more than one channel.
+    """
+    return _read_picture(file, "PNG", one_bit=True).values != 0
+
+
+def read_png(path: Path) -> Map:
+    """Read the stored values of a PNG of one channel of 8 or 16 bits."""
+    return _read_picture(path, "PNG").values
+
+
+def read_png16(path: Path) -> UInt16[np.ndarray, "height width"]:
+    """Read the stored values of a PNG of one channel that must have 16 bits."""
+    values = read_png(path)
+    if values.dtype != np.uint16:
+        raise InputError(f"{path} must have 16 bits a pixel; it has {8 * values.dtype.itemsize}. Get the original file")
+    return values
+
+
+def read_png_with_text(path: Path) -> tuple[Map, dict[str, str]]:
+    """Read the stored values of a PNG of one channel of 8 or 16 bits, and its text chunks."""
+    values = read_png(path)
+    with Image.open(path, formats=["PNG"]) as picture:
+        return values, {str(key): value for key, value in picture.info.items() if isinstance(value, str)}
+
+
+def _read_picture(file: Path | Memory, format: str, *, one_bit: bool = False) -> StoredMap:
+    check_exists(file)
+    try:
+        with Image.open(file, formats=[format]) as picture:
+            if picture.width * picture.height > MAX_PIXELS:
+                raise ValueError(f"{picture.width} x {picture.height} are more than {MAX_PIXELS:,} pixels")
+            check_tiles(picture)
+            n_bytes = file.getbuffer().nbytes if isinstance(file, Memory) else file.stat().st_size
+            check_expansion(picture.width * picture.height * _BYTES.get(picture.mode, 4), n_bytes)
+            mode, values, scale = picture.mode, np.asarray(picture), _scale_in(picture)
+    except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
+        raise InputError(f"{file} is not a readable {format} ({error})") from error
+    if values.ndim != 2 or mode == "P" or (mode == "1" and not one_bit):
+        raise InputError(
+            f"{file} is not a depth map: it must be a {format} of one channel of 8 or 16 bits, and is of mode {mode!r}"
+        )
+    return StoredMap(values, scale)
+
+
+def _scale_in(picture: Image.Image) -> float | None:
+    try:
+        scale = float(picture.info[SCALE_KEY])
+    except (KeyError, TypeError, ValueError):
+        return None
+    return scale if np.isfinite(scale) and scale > 0 else None

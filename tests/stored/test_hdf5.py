@@ -1,0 +1,62 @@
+"""Maps in HDF5 files are read however they are packed, and refused where they are not, or not only, in the file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests import bombs
+
+from zoedepth.errors import InputError
+from zoedepth.stored import read_hdf5
+
+h5py = pytest.importorskip("h5py")
+
+METRES = np.array([[0.5, 1.25, 0], [300.25, 2, 65.5]], np.float32)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": "gzip", "compression_opts": 9},
+        {"compression": "gzip", "shuffle": True, "fletcher32": True, "chunks": (7, 11)},
+        {"compression": "lzf", "shuffle": True},
+        {"chunks": (50, 70)},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("noise", [True, False])
+def test_map_is_read_however_it_is_packed(tmp_path: Path, options: dict, noise: bool) -> None:
+    """Noise cannot be compressed, and HDF5 leaves such chunks unpacked."""
+    values = np.random.default_rng(0).integers(0, 2**16, (60, 80)).astype(np.uint16)
+    values = values if noise else values // 60000
+    bombs.hdf5(tmp_path / "a.h5", lambda file: file.create_dataset("depth", data=values, **options))
+    np.testing.assert_array_equal(read_hdf5(tmp_path / "a.h5", "depth"), values)
+
+
+def test_values_in_other_files_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_bytes(bytes(400))
+    bombs.hdf5(tmp_path / "other.h5", lambda file: file.create_dataset("depth", data=METRES))
+    layout = h5py.VirtualLayout((2, 3), "f4")
+    layout[...] = h5py.VirtualSource(str(tmp_path / "other.h5"), "depth", (2, 3))
+    external = [(str(tmp_path / "secret"), 0, 400)]
+    for write in (
+        lambda file: file.create_dataset("depth", (10, 10), "f4", external=external),
+        lambda file: file.create_virtual_dataset("depth", layout),
+        lambda file: file.__setitem__("depth", h5py.ExternalLink(str(tmp_path / "other.h5"), "depth")),
+    ):
+        bombs.hdf5(tmp_path / "a.h5", write)
+        with pytest.raises(InputError, match=r"a\.h5.*other? files?|a\.h5.*another file"):
+            read_hdf5(tmp_path / "a.h5", "depth")
+
+
+@pytest.mark.parametrize("write", [
+    lambda file: file.create_group("depth"),
+    lambda file: file.create_dataset("other", data=METRES),
+    lambda file: file.create_dataset("depth", data=METRES[None]),
+    lambda file: file.create_dataset("depth", data=np.array([["a"]], "S1")),
+], ids=["group", "no such key", "three axes", "text"])  # fmt: skip
+def test_file_without_such_a_map(tmp_path: Path, write) -> None:
+    bombs.hdf5(tmp_path / "a.h5", write)
+    with pytest.raises(InputError, match=r"a\.h5 is not an HDF5 file with a map 'depth'"):
+        read_hdf5(tmp_path / "a.h5", "depth")
