@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from zoedepth.model.heads.probability import LogBinomial, Softmax, log_binomial, log_binomial_coefficients
+from zoedepth.model.upsample import upsample
 
 
 @pytest.mark.parametrize("n_bins", [2, 64, 256])
@@ -79,6 +80,22 @@ def test_hidden_width_is_the_input_width_divided_by_the_factor(factor: int):
     softmax = Softmax(33, 8, bottleneck_factor=factor)
     for predictor in (binomial, softmax):
         assert next(predictor.parameters()).shape[:2] == (33 // factor, 33)
+
+
+@torch.no_grad()
+def test_predictors_apply_their_whole_mlp_to_the_stacked_maps():
+    torch.manual_seed(0)
+    maps = [3 * torch.randn(2, 5, 4, 6), 3 * torch.randn(2, 3, 2, 3)]
+    stack = torch.cat([maps[0], upsample(maps[1], (4, 6))], dim=1)
+    softmax = Softmax(8, 16, bottleneck_factor=2)
+    found = softmax(maps, torch.ones(1, 16, 1, 1)).probability
+    torch.testing.assert_close(found, softmax.mlp(stack).softmax(dim=1), rtol=1e-4, atol=1e-6)
+    binomial = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.5, max_temperature=2.0)
+    pairs = binomial.mlp(stack) + 1e-4
+    q, t = pairs[:, 0:1] / pairs[:, 0:2].sum(1, keepdim=True), pairs[:, 2:3] / pairs[:, 2:4].sum(1, keepdim=True)
+    found = binomial(maps, torch.ones(1, 16, 1, 1)).probability
+    expected = log_binomial(q, 0.5 + 1.5 * t, log_binomial_coefficients(16))
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-6)
 
 
 def test_softmax_is_free_to_have_two_modes():
