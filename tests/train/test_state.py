@@ -82,6 +82,7 @@ def test_loaded_state_is_the_saved_one_bit_for_bit(config: TrainConfig, tmp_path
     saved = make_state(config)
     for _ in range(3):
         take_step(saved)
+    saved.task_weights = torch.tensor([0.25, 0.75])
     torch.manual_seed(77)
     torch.rand(5)
     folder = saved.save(tmp_path, config)
@@ -92,6 +93,7 @@ def test_loaded_state_is_the_saved_one_bit_for_bit(config: TrainConfig, tmp_path
 
     assert torch.equal(torch.rand(4), drawn)
     assert loaded.step == 3
+    assert_equal(loaded.task_weights, saved.task_weights)
     assert_equal(loaded.model.state_dict(), saved.model.state_dict())
     assert_equal(loaded.optimizer.state_dict(), saved.optimizer.state_dict())
     assert loaded.ema is not None
