@@ -14,7 +14,7 @@ def test_maps_of_the_size_are_returned_as_they_are():
     assert upsample(x, torch.Size([3, 4])) is x
 
 
-@pytest.mark.parametrize("size", [(7, 9), (3, 4), (1, 5), (24, 8)])
+@pytest.mark.parametrize("size", [(7, 9), (3, 4), (1, 5), (2, 5), (24, 8)])
 def test_rows_are_those_of_the_whole(size: tuple[int, int]):
     x, whole = torch.rand(2, 3, 3, 4, generator=torch.Generator().manual_seed(0)), torch.Size(size)
     expected = upsample(x, whole)
@@ -23,3 +23,11 @@ def test_rows_are_those_of_the_whole(size: tuple[int, int]):
             rows = slice(start, stop)
             assert torch.allclose(upsample_rows(x, whole, rows), expected[:, :, rows], atol=1e-6)
     assert torch.equal(upsample_rows(x, whole, slice(None)), expected)
+
+
+def test_rows_of_half_precision_stay_in_it():
+    x = torch.rand(2, 3, 3, 4, generator=torch.Generator().manual_seed(0))
+    found = upsample_rows(x.bfloat16(), torch.Size([7, 9]), slice(2, 5))
+    assert found.dtype == torch.bfloat16
+    # Values below 1 are rounded by at most 2 ** -9, the places between rows once more.
+    torch.testing.assert_close(found.float(), upsample(x, torch.Size([7, 9]))[:, :, 2:5], rtol=0, atol=2e-2)
