@@ -138,7 +138,8 @@ def finetune(
     Args:
         plan: the plan.
         out: folder for the result.
-        devices, n_nodes: see ``zoedepth.train.processes.launch_fabric``.
+        devices: processes on each machine, see ``zoedepth.train.processes.launch_fabric``.
+        n_nodes: machines.
 
     Returns:
         Name of a data set → what was measured on its held-out pairs, before and after.

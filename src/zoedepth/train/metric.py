@@ -32,7 +32,8 @@ def train_metric(
         data: name of a source of the configuration → where its data is (``zoedepth.opening.open_dataset``).
         out: folder of the run: checkpoints, log, pictures.
         init: starting weights, see ``zoedepth.train.start.start_from``; not read when resuming.
-        devices, n_nodes: processes on each machine, and machines; see ``zoedepth.train.processes.launch_fabric``.
+        devices: processes on each machine, see ``zoedepth.train.processes.launch_fabric``.
+        n_nodes: machines.
 
     Returns:
         The folder of the last checkpoint, which ``zoedepth.load_model`` takes.

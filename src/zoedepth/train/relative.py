@@ -48,7 +48,11 @@ def train_relative(
 
     Args:
         config: the configuration, most often a recipe's; its stage is "relative".
-        data, out, init, devices, n_nodes: see ``zoedepth.train.metric.train_metric``.
+        data: name of a source of the configuration → where its data is (``zoedepth.opening.open_dataset``).
+        out: folder of the run: checkpoints, log, pictures.
+        init: starting weights, see ``zoedepth.train.start.start_from``; not read when resuming.
+        devices: processes on each machine, see ``zoedepth.train.processes.launch_fabric``.
+        n_nodes: machines.
 
     Returns:
         The folder of the last checkpoint, with which stage 2 can start.
