@@ -1,10 +1,11 @@
 import math
+import warnings
 
 import numpy as np
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.metrics import Metrics, add_sums, compute_metrics, mean_metrics, pixel_sums, pooled_metrics
+from zoedepth.metrics import Metrics, Sums, add_sums, compute_metrics, mean_metrics, pixel_sums, pooled_metrics
 
 
 def test_metrics_by_hand():
@@ -118,6 +119,12 @@ def test_sums_of_one_set_are_unchanged_even_of_one_pixel():
         sums = pixel_sums(np.arange(2.0, 2 + n), np.ones(n))
         assert add_sums([sums]) == sums
         assert isinstance(add_sums([sums]).n_pixels, int)
+
+
+def test_sums_of_no_pixels_are_zero_and_no_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert pixel_sums(np.ones(0), np.ones(0)) == Sums()
 
 
 def test_no_pixels_have_no_metrics():

@@ -155,6 +155,10 @@ def test_residual_unit_of_zero_weights_is_the_identity_and_leaves_its_input_alon
     assert torch.equal(x, before)
 
 
+def test_relative_head_begins_with_an_open_relu():
+    assert RelativeHead(8, features=5, upsample=False).conv3.bias.tolist() == [0.5]
+
+
 def test_relative_head_doubles_the_size_only_at_stride_1():
     x = torch.randn(1, 8, 4, 6)
     for grows, size in ((True, (8, 12)), (False, (4, 6))):
