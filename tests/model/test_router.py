@@ -133,6 +133,13 @@ def test_mlp_sees_the_mean_of_the_bottleneck():
     assert torch.allclose(network(x, None).logits, network(flat, None).logits, atol=1e-5)
 
 
+def test_mlp_has_one_hidden_layer_with_a_relu():
+    network, x = router("trained"), bottleneck()
+    first, last = (layer for layer in network.classifier.mlp if isinstance(layer, torch.nn.Linear))
+    hidden = (x.mean(dim=(2, 3)) @ first.weight.T + first.bias).clamp(min=0)
+    torch.testing.assert_close(network(x, None).logits, hidden @ last.weight.T + last.bias, rtol=1e-4, atol=1e-5)
+
+
 def test_transformer_sees_where_things_are():
     network, x = router("trained", classifier="transformer"), bottleneck()
     assert not torch.allclose(network(x, None).logits, network(x.flip(3), None).logits, atol=1e-4)
