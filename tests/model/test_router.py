@@ -80,6 +80,16 @@ def test_auto_router_mixes_by_its_probabilities_while_training():
         assert weights == pytest.approx([math.exp(score) / total for score in scores], abs=1e-6)
 
 
+def test_rows_of_a_routing_are_rows_of_all_it_holds():
+    routing = router("auto").train()(bottleneck(), None)
+    rows = torch.tensor([3, 1])
+    for found, whole in zip(routing.rows(rows), routing, strict=True):
+        assert torch.equal(found, whole[[3, 1]])
+    labeled = router("labeled")(bottleneck(), torch.tensor([2, 0, 1, 2])).rows(rows)
+    assert labeled.domain.tolist() == [2, 0]
+    assert labeled.logits is None
+
+
 def test_trained_router_is_hard_while_training():
     assert router("trained").train()(bottleneck(), None).weight is None
 
