@@ -5,6 +5,7 @@ Every photograph that enters the package, as a file, a PIL image, an array or a 
 """
 
 import os
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -41,10 +42,12 @@ PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
-# A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Photographs unpack to 2 to 20 times
-# their size, scattered points of lidar to 100 times, while half a megabyte of zeros can unpack to half a gigabyte.
-_FREE_BYTES, _MAX_RATIO = 64 << 20, 128
-_MAX_SCANS = 100  # progressive JPEGs have about ten
+# A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots and renders of up to 44
+# megapixels pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
+_FREE_BYTES, _MAX_RATIO = 128 << 20, 256
+_MAX_SCANS = 30  # progressive JPEGs have about ten
+# A marker of a JPEG that is neither a stuffed byte nor one that stands inside of a scan.
+_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
 # EXIF orientation -> the transposition that turns the picture upright (EXIF 2.3, tag 0x0112).
@@ -177,9 +180,21 @@ def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: i
     if picture.format in ("JPEG", "MPO"):
         file.seek(0)
         # Each scan of a JPEG passes over the whole picture, and can be as short as a few bytes.
-        if file.read().count(b"\xff\xda") > _MAX_SCANS:
+        if _count_scans(file.read()) > _MAX_SCANS:
             raise InputError(f"{name} has more than {_MAX_SCANS} scans: save it again as an ordinary JPEG")
     file.seek(place)
+
+
+def _count_scans(content: bytes) -> int:
+    """Count the scans of the first picture in a JPEG; phones append films and further pictures."""
+    place, scans = 2, 0
+    while found := _MARKER.search(content, place):
+        kind, place = content[found.start() + 1], found.end()
+        if kind == 0xD9:  # the end of the picture
+            break
+        scans += kind == 0xDA
+        place += int.from_bytes(content[place : place + 2], "big")
+    return scans
 
 
 def check_expansion(unpacked: int, packed: int) -> None:
@@ -194,8 +209,8 @@ def check_expansion(unpacked: int, packed: int) -> None:
     """
     if unpacked > max(_FREE_BYTES, _MAX_RATIO * packed):
         raise ValueError(
-            f"{packed:,} bytes would unpack to {unpacked:,}, more than {_MAX_RATIO} times as many, "
-            "which no photo and no map of depth needs"
+            f"{packed:,} bytes would unpack to {unpacked:,}; a file that unpacks to more than {_MAX_RATIO} times its "
+            f"size may have at most {_FREE_BYTES >> 20} MiB of content"
         )
 
 

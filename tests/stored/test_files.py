@@ -30,6 +30,7 @@ def test_file_in_memory_says_its_name() -> None:
         ((3,), "f4", "one map"),
         ((2, 3, 1), "f4", "one map"),
         ((0, 3), "f4", "one map"),
+        ((-1, 5), "f4", "one map"),
         ((2, 3), "S1", "one map"),
         ((MAX_PIXELS, 2), "u1", "more than"),
         ((MAX_PIXELS // 2 + 1, 1), "f8", "more than"),

@@ -22,6 +22,9 @@ METRES = np.array([[0.5, 1.25, 0], [300.25, 2, 65.5]], np.float32)
         {"compression": "gzip", "shuffle": True, "fletcher32": True, "chunks": (7, 11)},
         {"compression": "lzf", "shuffle": True},
         {"chunks": (50, 70)},
+        {"chunks": (100, 200), "maxshape": (None, None), "compression": "gzip"},
+        {"chunks": (2, 2), "compression": "gzip"},
+        {"scaleoffset": 0, "compression": "gzip"},
     ],
     ids=str,
 )
@@ -44,6 +47,10 @@ def test_values_in_other_files_are_refused(tmp_path: Path) -> None:
         lambda file: file.create_dataset("depth", (10, 10), "f4", external=external),
         lambda file: file.create_virtual_dataset("depth", layout),
         lambda file: file.__setitem__("depth", h5py.ExternalLink(str(tmp_path / "other.h5"), "depth")),
+        lambda file: (
+            file.__setitem__("x", h5py.ExternalLink(str(tmp_path / "other.h5"), "depth")),
+            file.__setitem__("depth", h5py.SoftLink("/x")),
+        ),
     ):
         bombs.hdf5(tmp_path / "a.h5", write)
         with pytest.raises(InputError, match=r"a\.h5.*other? files?|a\.h5.*another file"):

@@ -138,6 +138,7 @@ def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str,
     assert printed.out.splitlines()[-1] == str(out / "model.safetensors")
     measured = json.loads((out / "metrics.json").read_text())["rooms"]
     assert measured["before"]["n_scored"] == measured["after"]["n_scored"] == 2
+    assert {"calibration", "boundary_f1"} <= measured["after"].keys()  # the names that files have had from the start
     assert measured["after"]["metrics"]["rel"] < 0.9 * measured["before"]["metrics"]["rel"]
     assert load_model(out / "model.safetensors").config == load_model(init).config
     card = (out / "README.md").read_text()

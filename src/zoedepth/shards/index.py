@@ -162,7 +162,7 @@ def _groups(path: Path) -> Iterator[_Group]:
                     file.seek(member.offset_data)
                     group.json = file.read(min(member.size, MAX_JSON + 1))
             check_end(file, archive.offset)
-    except (OSError, tarfile.TarError, ValueError) as error:
+    except (OSError, tarfile.TarError, ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(

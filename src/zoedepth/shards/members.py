@@ -88,7 +88,7 @@ def unpack(block: bytes, where: str) -> dict[str, bytes]:
                     raise tarfile.ReadError(f"{member.name!r} is cut short")
                 found[name[1]] = content
             check_end(BytesIO(block), archive.offset)
-    except (tarfile.TarError, ValueError) as error:
+    except (tarfile.TarError, ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{where}: the shard is damaged, copy it again ({error})") from error

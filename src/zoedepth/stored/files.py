@@ -64,7 +64,7 @@ def check_exists(file: Path | Memory) -> None:
 
 
 def check_map(shape: tuple[int, ...], dtype: np.dtype) -> None:
-    if len(shape) != 2 or 0 in shape or dtype.kind not in "uif":
+    if len(shape) != 2 or min(shape) < 1 or dtype.kind not in "uif":
         raise ValueError(f"it must hold one map (height, width) of numbers; it holds {dtype} {tuple(shape)}")
     if prod(shape) > MAX_PIXELS or prod(shape) * dtype.itemsize > _MAX_BYTES:
         raise ValueError(

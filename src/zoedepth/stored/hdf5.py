@@ -9,9 +9,10 @@ import numpy as np
 
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import check_expansion
-from zoedepth.stored.files import PIECE, Map, check_exists, check_map
+from zoedepth.stored.files import Map, check_exists, check_map
 
-_MAX_CHUNKS = 1 << 16
+_MAX_CHUNKS = 1 << 18
+_MAX_CHUNK = 1 << 24  # values
 _MAX_LZF_BYTES = 1 << 27
 _LZF_RATIO = 88  # three bytes stand for 264 at most
 
@@ -33,6 +34,8 @@ def read_hdf5(path: Path, key: str) -> Map:
             if isinstance(file.get(key, getlink=True), h5py.ExternalLink):
                 raise ValueError(f"{key!r} is in another file")
             found = file[key]
+            if found.file.filename != file.filename:  # behind a soft link may be an external one
+                raise ValueError(f"{key!r} is in another file")
             if not isinstance(found, h5py.Dataset):
                 raise ValueError(f"{key!r} is not an array")
             check_map(found.shape, found.dtype)
@@ -55,13 +58,15 @@ def _check_chunks(dataset: Any) -> None:
         raise ValueError("its values are in other files")
     if dataset.chunks is None:
         return
-    if prod(dataset.chunks) > max(dataset.size, PIECE):
+    if prod(dataset.chunks) > max(dataset.size, _MAX_CHUNK):
         raise ValueError(f"its chunks of {dataset.chunks} are larger than the map")
     if prod(-(-side // chunk) for side, chunk in zip(dataset.shape, dataset.chunks, strict=True)) > _MAX_CHUNKS:
         raise ValueError(f"it has more than {_MAX_CHUNKS:,} chunks")
     plan = dataset.id.get_create_plist()
     filters = [plan.get_filter(number)[0] for number in range(plan.get_nfilters())]
-    packers = [code for code in filters if code not in (h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32)]
+    # These leave a chunk at its size, or make it smaller than its type by a known number of bits.
+    bounded = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_SCALEOFFSET, h5py.h5z.FILTER_NBIT}
+    packers = [code for code in filters if code not in bounded]
     if packers not in ([], [h5py.h5z.FILTER_DEFLATE], [h5py.h5z.FILTER_LZF]):
         raise ValueError(f"it is compressed by the filters {packers}; repack it with gzip: h5repack -f GZIP=4")
     limit = prod(dataset.chunks) * dataset.dtype.itemsize

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -204,7 +204,7 @@ def _write(out: Path, plan: Plan, measured: Mapping[str, tuple[Summary, Summary]
         plan.config.model, name="model.safetensors", layout="zoedepth", metrics=metrics,
         trained_on=f"{trained_on}; before that, what {plan.init} was trained on",
     )  # fmt: skip
-    values = {name: {"before": asdict(a), "after": asdict(b)} for name, (a, b) in measured.items()}
+    values = {name: {"before": a.to_json(), "after": b.to_json()} for name, (a, b) in measured.items()}
     for path, text in ((out / "README.md", card), (out / "metrics.json", json.dumps(values, indent=2) + "\n")):
         with atomic_path(path) as part:
             part.write_text(text, encoding="utf-8")

@@ -382,7 +382,16 @@ def doubled(times: int) -> bytes:
     return code
 
 
+def nested_key(depth: int) -> bytes:
+    """A dictionary whose key is a pair of equal pairs of equal pairs ...: hashing it takes 2 ** depth steps."""
+    code = b"}" + text("a")
+    for number in range(depth):
+        code += b"q" + bytes([number]) + b"h" + bytes([number]) + b"\x86"
+    return code + text("value") + b"s"
+
+
 BOMBS = {
+    "hash": (nested_key(60), "a tuple in its keys"),
     "bytes": (called("__builtin__\nbytearray", integer(4 * 2**30)), "not in the file"),
     "tensor": (called("torch\nFloatTensor", integer(2**30)), "not in the file"),
     "storage": (called("torch\nFloatStorage", integer(2**30)), "not in the file"),

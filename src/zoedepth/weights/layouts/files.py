@@ -4,6 +4,7 @@ import io
 import pickle
 import re
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +100,30 @@ def _refuse_set(_: Any) -> None:
     raise ValueError("it has a set")
 
 
-setattr(_Rehearsal, "dispatch", {**_Rehearsal.dispatch, pickle.EMPTY_SET[0]: _refuse_set})  # noqa: B010  # typed narrower
+def _with_plain_keys(load: Callable[[Any], None], first_key: int | None) -> Callable[[Any], None]:
+    """Make an opcode refuse keys of dictionaries other than numbers, texts and flat tuples of them.
+
+    Tuples nested in pairs take hours to hash. Keys are every second of the topmost values, from ``first_key`` on.
+    """
+
+    def checked(unpickler: Any) -> None:
+        for key in unpickler.stack[first_key::2]:
+            for part in key if isinstance(key, tuple) else (key,):
+                if not isinstance(part, str | int | float | _Placeholder | None):
+                    raise ValueError(f"it has a dictionary with a {type(part).__name__} in its keys")
+        load(unpickler)
+
+    return checked
+
+
+_loaders: dict[int, Any] = pickle._Unpickler.dispatch
+_checked = {
+    pickle.EMPTY_SET[0]: _refuse_set,
+    pickle.SETITEM[0]: _with_plain_keys(_loaders[pickle.SETITEM[0]], -2),
+    pickle.SETITEMS[0]: _with_plain_keys(_loaders[pickle.SETITEMS[0]], None),
+    pickle.DICT[0]: _with_plain_keys(_loaders[pickle.DICT[0]], None),
+}
+setattr(_Rehearsal, "dispatch", {**_loaders, **_checked})  # noqa: B010  # typed narrower
 
 
 class _Allocation(_Placeholder):
