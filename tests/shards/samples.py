@@ -34,7 +34,7 @@ def sample(target: list[list[float]], **changes: object) -> Sample:
     """A grey photo with these depths, known where they are not 0."""
     depth = torch.tensor(target)[None]
     grey = torch.full((3, *depth.shape[1:]), 128 / 255)
-    return replace(Sample(grey, depth, depth > 0, "depth", "indoor", "made"), **changes)  # type: ignore[arg-type]
+    return replace(Sample(grey, depth, depth > 0, "depth", "indoor", "made"), **changes)
 
 
 def same(one: Sample, other: Sample) -> bool:
@@ -53,7 +53,7 @@ def there_and_back(folder: Path, samples: list[Sample]) -> list[Sample]:
 def tar_of(path: Path, members: dict[str, bytes], **options: str) -> Path:
     """A tar file as other programs write it."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tarfile.open(path, **{"mode": "w", **options}) as archive:  # type: ignore[call-overload]
+    with tarfile.open(path, **{"mode": "w", **options}) as archive:
         for name, content in members.items():
             header = tarfile.TarInfo(name)
             header.size, header.mtime = len(content), 1_700_000_000

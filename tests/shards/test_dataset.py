@@ -86,7 +86,7 @@ class TestShardsOfOthers:
             f"{long}.JPG": PHOTO, f"{long}.cls": b"7", f"{long}.depth.png": DEPTH, f"{long}.json": ABOUT,
             "scene/b.rgb.png": PHOTO, "scene/._b.rgb.png": b"", "scene/b.depth_map.png": DEPTH, "readme": b"",
         }  # fmt: skip
-        path = tar_of(tmp_path / "a.tar", members, format=format)  # type: ignore[arg-type]
+        path = tar_of(tmp_path / "a.tar", members, format=format)
         dataset = ShardDataset(path, depth_scale=500, domain="hall")
         assert [dataset[i].target[0].tolist() for i in range(2)] == [[[0.5, 2]], [[1, 4]]]
         assert [dataset[i].domain for i in range(2)] == ["indoor", "hall"]

@@ -42,7 +42,7 @@ class TestThereAndBack:
             about = archive.extractfile("00000000.json")
             assert stored is not None
             assert about is not None
-            assert np.array_equal(np.asarray(Image.open(stored)), np.asarray(Image.open(pairs.pairs[0].target)))  # type: ignore[arg-type]
+            assert np.array_equal(np.asarray(Image.open(stored)), np.asarray(Image.open(pairs.pairs[0].target)))
             assert json.load(about)["depth_scale"] == 256
 
     def test_disparity(self, tmp_path: Path):
@@ -145,7 +145,7 @@ class TestWriting:
         other = PairDataset(write_pairs(tmp_path / "other", n=7, size=(16, 24), domain="outdoor"))
         for arguments in ({"size": ShardSize(samples=2)}, {"name": "others"}, {"dataset": other}):
             with pytest.raises(InputError, match="other samples or of another size"):
-                write_shards(**{"dataset": pairs, "out": shards, "name": "pairs", "size": THREE, **arguments})  # type: ignore[arg-type]
+                write_shards(**{"dataset": pairs, "out": shards, "name": "pairs", "size": THREE, **arguments})
         assert {path.name: path.read_bytes() for path in shards.iterdir()} == before
 
     @pytest.mark.parametrize("name", ["", "a/b", "..", "a b", "a.b"])

@@ -129,7 +129,7 @@ def test_what_cannot_be_rendered_is_refused() -> None:
         SyntheticScenes(3, domains=[])
     for options in ({"size": (8, 8)}, {"size": (31, 64)}, {"n": 0}, {"seed": -1}):
         with pytest.raises(InputError, match="32 pixels"):
-            SyntheticScenes(**options)  # type: ignore[arg-type]
+            SyntheticScenes(**options)
     for index in (3, -1):
         with pytest.raises(IndexError):
             SyntheticScenes(3)[index]

@@ -90,7 +90,7 @@ def test_every_pattern_and_shape_renders_without_nan() -> None:
 
 
 def flat_ground(**options: object) -> Scene:
-    scene = Scene(**options)  # type: ignore[arg-type]
+    scene = Scene(**options)
     scene.at(0, 0).add("box", Material("plain", (0.5, 0.5, 0.5)), (100, 100, 1), (0, 0, -1))
     return scene
 

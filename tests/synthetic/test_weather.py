@@ -12,7 +12,7 @@ def skies(give: object, n: range = SEEDS) -> list[Scene]:
     found = []
     for seed in n:
         scene = Scene()
-        give(scene, np.random.default_rng(seed))  # type: ignore[operator]
+        give(scene, np.random.default_rng(seed))
         found.append(scene)
     return found
 
@@ -33,14 +33,14 @@ def test_low_sun_is_warm_and_dull_days_have_a_weak_one_or_none() -> None:
     dull = [scene for scene in scenes if scene not in strong]
     assert 0.2 < len(dull) / len(scenes) < 0.5
     for scene in strong:
-        red, green, blue = scene.sun.color  # type: ignore[union-attr]
+        red, green, blue = scene.sun.color
         assert 1.8 <= red <= 3.5
         assert red > green > blue
     for scene in dull:
         assert scene.sun is None or scene.sun.color[0] < 1
         assert scene.sky.clouds >= 0.7
-    ratio = [s.sun.color[2] / s.sun.color[0] for s in strong]  # type: ignore[union-attr]
-    height = [s.sun.towards[2] for s in strong]  # type: ignore[union-attr]
+    ratio = [s.sun.color[2] / s.sun.color[0] for s in strong]
+    height = [s.sun.towards[2] for s in strong]
     assert np.corrcoef(ratio, height)[0, 1] > 0.9
 
 

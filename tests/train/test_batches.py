@@ -30,7 +30,7 @@ class OneOfSeveral:
 def read(config: TrainConfig, data: Data, *, first_step: int = 0, rank: int = 0, n: int = 1) -> list[Batch]:
     """Return one process's batches of all steps from the first on."""
     training, _ = load_sources(config, data)
-    return list(load_batches(config, OneOfSeveral(rank, n), training, first_step=first_step))  # type: ignore[arg-type]
+    return list(load_batches(config, OneOfSeveral(rank, n), training, first_step=first_step))
 
 
 @pytest.mark.parametrize("accumulate", [1, 2, 4])

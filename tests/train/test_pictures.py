@@ -41,7 +41,7 @@ def sample(kind: str = "depth", *, known: float = 0.5) -> Sample:
     target = torch.linspace(1, 5, 96).expand(1, 64, 96).clone()
     mask = torch.arange(96).expand(1, 64, 96) < 96 * known
     image = torch.rand(3, 64, 96, generator=torch.Generator().manual_seed(0))
-    return Sample(image, target, mask, kind, "indoor", "a" * 50 + ".jpg")  # type: ignore[arg-type]
+    return Sample(image, target, mask, kind, "indoor", "a" * 50 + ".jpg")
 
 
 def test_a_row_has_photo_truth_and_prediction_on_one_scale(tiny_model: ZoeDepth, panels, colored) -> None:

@@ -165,7 +165,7 @@ class HeadTester:
             expected = (probability.double() * centers.double()).sum(dim=1, keepdim=True)
             assert torch.allclose(output.depth.double(), expected, rtol=1e-5)
             depth, std = output.depth_and_std()
-            assert torch.equal(depth, output.depth)
+            torch.testing.assert_close(depth, output.depth)
             assert std is not None
             assert std.isfinite().all()
 
