@@ -1,4 +1,4 @@
-"""Pictures: what is known of the depth and what is predicted, on one scale of colours."""
+"""Pictures of a training: known and predicted depth on one scale of colours."""
 
 from dataclasses import replace
 
@@ -55,14 +55,14 @@ def test_a_row_has_photo_truth_and_prediction_on_one_scale(tiny_model: ZoeDepth,
     # 64x96 at the width of a panel.
     assert all(image.shape == (213, 320, 3) for image, _ in panels)
     assert sheet.shape[1] > 3 * 320
-    (truth, scale), (said, same) = colored[:2]
+    (truth, scale), (predicted, same) = colored[:2]
     assert scale == same
     assert np.isnan(truth[:, 160:]).all()
     assert truth[0, 0] == pytest.approx(1, abs=0.02)
     assert scale["vmin"] == pytest.approx(1.02, abs=0.05)
     assert scale["vmax"] == pytest.approx(2.98, abs=0.1)
     tiny_model.eval()
-    assert not np.isnan(said).any()
+    assert not np.isnan(predicted).any()
 
 
 def test_prediction_takes_the_head_of_the_label_where_there_are_several(
@@ -80,14 +80,14 @@ def test_prediction_takes_the_head_of_the_label_where_there_are_several(
 def test_stage_1_shows_disparity_with_the_prediction_fitted_to_it(tiny_model: ZoeDepth, panels, colored) -> None:
     predictions_sheet(tiny_model, [sample()], stage="relative")
     assert [caption for _, caption in panels[1:]] == ["disparity, known at 50%", "predicted disparity"]
-    (truth, _), (said, _) = colored
+    (truth, _), (predicted, _) = colored
     known = ~np.isnan(truth)
     assert truth[0, 0] == pytest.approx(1, abs=0.02)
     assert truth[0, 159] == pytest.approx(1 / 3, abs=0.02)
     # Least squares: the mean error is 0, and no error goes with the prediction.
-    error = (said - truth)[known]
+    error = (predicted - truth)[known]
     assert error.mean() == pytest.approx(0, abs=1e-4)
-    assert (error * said[known]).mean() == pytest.approx(0, abs=1e-3)
+    assert (error * predicted[known]).mean() == pytest.approx(0, abs=1e-3)
 
 
 def test_disparity_is_shown_as_it_is(tiny_model: ZoeDepth, colored) -> None:
@@ -95,10 +95,10 @@ def test_disparity_is_shown_as_it_is(tiny_model: ZoeDepth, colored) -> None:
     assert colored[0][0][0, 159] == pytest.approx(3, abs=0.03)
 
 
-@pytest.mark.parametrize("stage", ["relative", "metric"])
-def test_photo_without_known_depth_is_shown_all_the_same(tiny_model: ZoeDepth, panels, stage: str) -> None:
+@pytest.mark.parametrize(("stage", "what"), [("relative", "disparity"), ("metric", "depth")])
+def test_photo_without_known_depth_is_shown_all_the_same(tiny_model: ZoeDepth, panels, stage: str, what: str) -> None:
     predictions_sheet(tiny_model, [sample(known=0)], stage=stage)
-    assert [caption for _, caption in panels[1:]] == ["nothing known"]
+    assert [caption for _, caption in panels[1:]] == [f"no known {what}"]
 
 
 def test_data_is_shown_without_a_model(panels) -> None:

@@ -1,4 +1,4 @@
-"""A look at data before training: its ranges, sizes and density."""
+"""The look at data before training: its ranges, sizes and density."""
 
 from pathlib import Path
 
@@ -31,10 +31,10 @@ def test_survey_sees_scattered_points(tmp_path: Path):
 
 
 def test_data_without_metres_or_without_depth_is_an_error(tmp_path: Path):
-    with pytest.raises(InputError, match="stills has disparity"):
+    with pytest.raises(InputError, match=r"stills has disparity for \S*\.jpg, but fine-tuning needs depth in metres"):
         survey(open_dataset(write_disparity_pairs(tmp_path / "stills")), name="stills")
     empty = write_pairs(tmp_path / "empty", n=2, without_truth=(0, 1))
-    with pytest.raises(InputError, match=r"no depth is known in any of 2 photos of \['indoor'\]"):
+    with pytest.raises(InputError, match=r"empty has no known depth for any photo of indoor \(2 pairs were read\)"):
         survey(open_dataset(empty), name="empty")
 
 

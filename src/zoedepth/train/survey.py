@@ -1,4 +1,4 @@
-"""Look at data before a model is trained on it: how much there is, how large, how far, how dense."""
+"""Look at data before a model is trained on it: number and size of the photos, range and density of the depth."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -10,46 +10,47 @@ from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 
 MOST = 200
-"""Largest number of pairs that are looked at, evenly spread over the data set."""
+"""Largest number of pairs to look at. Of more pairs, this many are taken, evenly spread over the data set."""
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Findings about a data set, from a look at some of its pairs."""
+    """The findings about a data set, from a look at some of its pairs of photo and depth."""
 
     n: int
     """Number of pairs in the data set."""
     n_seen: int
     """Number of pairs looked at."""
     sizes: tuple[tuple[int, int], ...]
-    """Sizes (height, width) of the photos, the most frequent first."""
+    """The different sizes (height, width) of the photos, the most frequent first."""
     known: float
-    """Median share of pixels whose depth is known."""
+    """Share of the pixels whose depth is known: the median over the photos."""
     near: dict[str, float]
-    """Domain → depth in metres that 0.5 % of the known pixels are nearer than."""
+    """Domain → near end of its depth in metres: 0.5 % of the known pixels are nearer."""
     far: dict[str, float]
-    """Domain → depth in metres that 0.5 % of the known pixels are farther than."""
+    """Domain → far end of its depth in metres: 0.5 % of the known pixels are farther."""
     count: dict[str, int]
-    """Domain → number of pairs among those looked at."""
+    """Domain → number of its pairs among those looked at."""
 
     @property
     def sparse(self) -> bool:
-        """True if depth is known at scattered points only."""
+        """True if depth is known at scattered points only, as from a lidar."""
         return self.known < SPARSE
 
 
 def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
-    """Look at evenly spread pairs of a data set.
+    """Look at up to ``MOST`` pairs of a data set, evenly spread over it.
 
     Args:
         data: the data set.
-        name: its name, for errors.
+        name: its name, for error messages.
 
     Returns:
         The findings, and up to six samples to show.
 
     Raises:
-        InputError: a pair cannot be read, its depth is disparity, or no depth is known at all.
+        InputError: a pair cannot be read, it has disparity in place of depth, or a domain has no known depth in any
+            of the pairs looked at.
     """
     places = evenly(range(len(data)), MOST)
     shown = set(evenly(places, 6))
@@ -59,7 +60,10 @@ def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
     for place in places:
         sample = data[place]
         if sample.kind != "depth":
-            raise InputError(f"{name} has disparity ({sample.name}): fine-tuning needs depth in metres")
+            raise InputError(
+                f"{name} has disparity for {sample.name}, but fine-tuning needs depth in metres. Leave this data "
+                "out, or give its depth"
+            )
         sizes[(sample.image.shape[1], sample.image.shape[2])] += 1
         count[sample.domain] += 1
         known.append(float(sample.mask.float().mean()))
@@ -69,7 +73,11 @@ def survey(data: DepthDataset, *, name: str) -> tuple[Survey, list[Sample]]:
             samples.append(sample)
     depths = {domain: np.concatenate(found) for domain, found in values.items()}
     if empty := sorted(domain for domain, depth in depths.items() if not len(depth)):
-        raise InputError(f"{name}: no depth is known in any of {len(places)} photos of {empty}. Check the files")
+        scenes = ", ".join(empty)
+        raise InputError(
+            f"{name} has no known depth for any photo of {scenes} ({len(places)} pairs were read). Look at its depth "
+            "files with zoedepth data check"
+        )
     found = Survey(
         n=len(data),
         n_seen=len(places),
