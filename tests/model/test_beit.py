@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from zoedepth.errors import InputError
-from zoedepth.model.beit import BeitNetwork, resize_position_table
+from zoedepth.model.beit import BeitNetwork, position_bias, relative_position_index, resize_position_table
 
 
 def build(**changes: Any) -> BeitNetwork:
@@ -97,6 +97,36 @@ def test_positions_matter(network: BeitNetwork):
     mirrored = pixels.flip(3).flatten(3)  # whole patches, each as it was
     straight, turned = network(pixels.flatten(3))[0][-1], network(mirrored)[0][-1]
     assert (straight.flip(3) - turned).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("reused", [None, []])
+@torch.no_grad()
+def test_bias_is_the_table_looked_up_with_an_axis_for_the_batch(reused: list[torch.Tensor] | None):
+    """The first axis is what gives torch's attention a fast path on the CPU."""
+    index = relative_position_index((2, 3))
+    for table in (torch.randn(18, 5), torch.randn(18, 5)):
+        found = position_bias(table, index, reused=reused)
+        assert found.shape == (1, 5, 7, 7)
+        assert torch.equal(found[0], table[index].permute(2, 0, 1))
+
+
+@pytest.mark.parametrize(("gradients", "n_pieces"), [(False, 1), (True, 4)])
+def test_blocks_share_the_memory_of_their_biases_unless_gradients_need_them(gradients: bool, n_pieces: int):
+    network, biases = build(), []
+    for block in network.blocks:
+        block.register_forward_pre_hook(
+            lambda _, inputs, options: biases.append(options["shared_rel_pos_bias"]), with_kwargs=True
+        )
+    with torch.set_grad_enabled(gradients):
+        network(torch.rand(1, 3, 32, 32))
+    assert len(biases) == 4
+    assert len({bias.data_ptr() for bias in biases}) == n_pieces
+
+
+def test_new_position_tables_are_small_random_numbers():
+    numbers = torch.cat([table.flatten() for table in build().position_tables])
+    assert numbers.mean().item() == pytest.approx(0, abs=0.005)
+    assert numbers.std().item() == pytest.approx(0.02, rel=0.2)
 
 
 @torch.no_grad()

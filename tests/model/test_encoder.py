@@ -4,6 +4,7 @@ import pytest
 import torch
 
 from zoedepth.config import EncoderConfig, ModelConfig
+from zoedepth.errors import InputError
 from zoedepth.model.encoder import Encoder
 from zoedepth.presets import ENCODERS
 
@@ -129,3 +130,10 @@ def test_width_depth_and_heads_take_the_place_of_timms():
     small, deep = Encoder(TINY_SWIN), Encoder(replace(TINY_SWIN, depth=(1, 1, 3, 1)))
     assert sum(p.numel() for p in deep.parameters()) > sum(p.numel() for p in small.parameters())
     assert Encoder(replace(TINY_SWIN, width=48)).channels == (48, 96, 192, 384)
+
+
+def test_depth_and_width_of_the_mlps_of_beit_take_the_place_of_timms(tiny_config: ModelConfig):
+    encoder = Encoder(replace(tiny_config.encoder, mlp_width=40))
+    assert [block.mlp.fc1.out_features for block in encoder.network.blocks] == [40] * 4
+    with pytest.raises(InputError, match="has 3 blocks"):
+        Encoder(replace(tiny_config.encoder, depth=(3,)))

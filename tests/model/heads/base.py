@@ -21,7 +21,7 @@ from zoedepth.presets import ZOED_LITE
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses
 
-CHANNELS = DecoderChannels(bottleneck=10, levels=(8, 6, 5, 5), last=4)
+CHANNELS = DecoderChannels(bottleneck=10, levels=(8, 6, 5, 3), last=4)
 DOMAIN = Domain("indoor", 0.5, 8.0)
 
 

@@ -5,9 +5,10 @@ import pytest
 import torch
 from tests.model.heads.base import DOMAIN, HeadTester, build_head, decoder_features, scaled
 from torch import nn
+from torch.nn.functional import leaky_relu
 
 from zoedepth.config import AdaBinsConfig
-from zoedepth.model.heads.adabins import PatchTokens, enough, image_centers, stretched
+from zoedepth.model.heads.adabins import ImageBins, PatchTokens, enough, image_centers, stretched
 
 TINY = AdaBinsConfig(n_bins=6, width=8, patch=4, n_layers=1, attention_heads=2, feedforward_width=16, n_queries=8)
 
@@ -52,6 +53,24 @@ def test_first_token_is_for_the_bins_and_the_next_are_kernels():
     answers = torch.stack([tokens[0, 1 + i] @ pixel for i in range(8)])
     scores = bins.probability.weight[:, :, 0, 0] @ answers + bins.probability.bias
     assert head(features).depth[0, 0, 5, 7].item() == pytest.approx((scores.softmax(0) @ centers).item(), rel=1e-4)
+
+
+def test_widths_come_from_three_layers_with_leaky_relus_between():
+    widths, x = build_head(TINY).domain.bins.widths, torch.randn(3, 8)
+    first, second, third = (layer for layer in widths if isinstance(layer, nn.Linear))
+    expected = third(leaky_relu(second(leaky_relu(first(x), 0.01)), 0.01))
+    torch.testing.assert_close(widths(x), expected)
+
+
+@pytest.mark.parametrize(("grid", "n_tokens"), [((3, 3), 9), ((2, 4), 15)])
+def test_there_is_a_token_for_the_bins_and_for_each_query(grid: tuple[int, int], n_tokens: int):
+    """Eight queries need nine tokens: a grid of that many patches stays, one of eight is made finer."""
+    bins = ImageBins(
+        3, DOMAIN, n_bins=6, width=8, patch=4, n_layers=1, attention_heads=2, feedforward_width=16, n_queries=8
+    )
+    x = torch.randn(1, 3, 4 * grid[0], 4 * grid[1])
+    assert bins.tokens(x).shape == (1, n_tokens, 8)
+    assert bins(x).depth.shape[-2:] == x.shape[-2:]
 
 
 def test_tokens_are_the_patches_row_by_row_with_their_positions():

@@ -99,6 +99,14 @@ def test_attractors_of_normed_centers_pair_neighbouring_channels(ratio: bool):
         assert points[1, k, 3, 0].item() == pytest.approx(a / (a + b) if ratio else a, abs=1e-6)
 
 
+def test_mlps_are_two_convolutions_with_a_relu_between():
+    head = build_head(TINY)
+    for mlp in (head.shared.seed, *head.shared.levels, head.domain.seed, head.domain.attractors[0].mlp):
+        first, last = mlp[0], mlp[-1]
+        x = 3 * torch.randn(2, first.in_channels, 2, 3)
+        torch.testing.assert_close(mlp(x), last(first(x).relu()))
+
+
 def test_single_pixel_of_a_head_by_hand():
     """All maps constant, so that upsampling does nothing: the whole head is arithmetic on one pixel."""
     config = replace(TINY, reduce="mean", alpha=2.0)

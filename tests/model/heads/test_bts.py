@@ -4,10 +4,10 @@ from typing import Any, ClassVar
 
 import pytest
 import torch
-from tests.model.heads.base import DOMAIN, HeadTester, build_head, decoder_features, scaled
+from tests.model.heads.base import CHANNELS, DOMAIN, HeadTester, build_head, decoder_features, scaled
+from torch.nn.functional import conv2d, elu
 
 from zoedepth.config import BtsConfig
-from zoedepth.model.decoder import DecoderChannels
 from zoedepth.model.heads.bts import BtsHead, PlanarGuidance, narrowing, planar_depth, plane_coefficients
 
 TINY = BtsConfig(widths=(16, 12, 8), width=8)
@@ -26,10 +26,22 @@ def test_depth_is_at_most_the_farthest_and_at_the_size_of_the_last_map():
         depth = head(scaled(decoder_features((64, 96), output_stride=stride), 30.0)).depth
         assert depth.shape == (2, 1, 64 // stride, 96 // stride)
         assert (depth <= DOMAIN.max_depth).all()
-    far = BtsHead(DecoderChannels(10, (8, 6, 5, 5), 4), TINY, replace(DOMAIN, max_depth=80.0))
+    far = BtsHead(CHANNELS, TINY, replace(DOMAIN, max_depth=80.0))
     far.load_state_dict(head.domain.state_dict())
     features = decoder_features((64, 96))
     assert torch.allclose(far(features).depth, 10 * head(features).depth)
+
+
+@torch.no_grad()
+def test_depth_by_hand():
+    """Planes of three levels at the size of the photo, joined with the last map, and two convolutions without bias."""
+    head, features = build_head(TINY), decoder_features((64, 96))
+    bts, planes = head.domain, []
+    for guide, level, x in zip(bts.guidance, bts.levels, features.levels[1:], strict=True):
+        planes.append(guide(elu(conv2d(x, level[0].weight, padding=1))))
+        assert planes[-1].shape == (2, 1, 64, 96)
+    x = elu(conv2d(torch.cat([features.last, *planes], dim=1), bts.fuse[0].weight, padding=1))
+    torch.testing.assert_close(head(features).depth, 8 * conv2d(x, bts.depth.weight, padding=1).sigmoid())
 
 
 @pytest.mark.parametrize("factor", [2, 4, 8])
@@ -79,7 +91,7 @@ def test_plane_coefficients_are_a_unit_normal_and_a_fraction():
 def test_channels_are_halved_down_to_eight(sizes: tuple[int, int, int], expected: list[tuple[int, int]]):
     convolutions = [layer for layer in narrowing(*sizes) if isinstance(layer, torch.nn.Conv2d)]
     assert [(layer.in_channels, layer.out_channels) for layer in convolutions] == expected
-    assert all(layer.bias is None for layer in convolutions)
+    assert all(layer.bias is None and layer.kernel_size == (1, 1) for layer in convolutions)
 
 
 def test_guidance_is_float32_under_autocast():

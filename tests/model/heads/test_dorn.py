@@ -6,6 +6,7 @@ from typing import Any, ClassVar
 import pytest
 import torch
 from tests.model.heads.base import DOMAIN, HeadTester, build_head, decoder_features
+from torch.nn.functional import conv2d
 
 from zoedepth.config import DornConfig
 from zoedepth.model.heads.dorn import SceneModule, interval_edges, ordinal_depth
@@ -112,6 +113,24 @@ def test_a_head_looks_at_the_finest_level_or_at_the_bottleneck():
     for scene in (False, True):
         head = build_head(replace(TINY, scene=scene, decode="soft")).eval()
         assert torch.equal(head(features).depth, head(blind).depth) != scene
+
+
+@torch.no_grad()
+def test_logits_of_the_finest_level_by_hand():
+    """A 1x1 convolution of the ReLU of a 3x3 convolution."""
+    head, features = build_head(TINY), decoder_features((64, 96))
+    conv, logits = head.domain.hidden[0], head.domain.logits
+    hidden = conv2d(features.levels[-1], conv.weight, conv.bias, padding=1).relu()
+    found = head(features).supervision.ordinal.logits
+    torch.testing.assert_close(found, conv2d(hidden, logits.weight, logits.bias))
+
+
+@torch.no_grad()
+def test_full_image_of_the_scene_is_its_mean_of_which_training_drops_a_half():
+    full_image = build_head(replace(TINY, scene=True)).domain.hidden.full_image
+    x, conv = torch.randn(2, 10, 3, 4), full_image[-1]
+    torch.testing.assert_close(full_image.eval()(x), conv2d(x.mean(dim=(2, 3), keepdim=True), conv.weight, conv.bias))
+    assert not torch.equal(full_image.train()(x), full_image(x))
 
 
 def test_scene_module_has_five_branches_of_which_one_sees_all_and_none_more_than_its_rate():

@@ -5,6 +5,7 @@ import pytest
 import torch
 from tests.model.heads.base import CHANNELS, DOMAIN, HeadTester, build_head, decoder_features
 from torch import nn
+from torch.nn.functional import adaptive_avg_pool2d, conv2d, gelu, interpolate
 
 from zoedepth.config import Domain, NewCrfsConfig
 from zoedepth.errors import InputError
@@ -209,9 +210,18 @@ def test_both_blocks_are_given_the_same_values():
         block.register_forward_pre_hook(lambda _, inputs: given.append(inputs[1]))
     v = torch.randn(1, 8, 5, 4)
     level(torch.randn(1, 8, 5, 4), v)
-    assert [block.shift for block in level.blocks] == [0, 1]
     assert len(given) == 2
     assert all(torch.equal(values, v.permute(0, 2, 3, 1)) for values in given)
+
+
+def test_every_second_block_is_shifted_by_half_a_window():
+    level = CrfLevel(8, 8, 8, n_heads=2, window=7, n_blocks=4)
+    assert [block.shift for block in level.blocks] == [0, 3, 0, 3]
+
+
+def test_new_biases_are_small_random_numbers():
+    torch.manual_seed(0)
+    assert WindowAttention(8, n_heads=4, window=7).bias_table.std().item() == pytest.approx(0.02, rel=0.2)
 
 
 def test_a_level_by_hand():
@@ -231,7 +241,8 @@ def test_a_level_by_hand():
         logits = (k @ q) / 2**0.5 + attention.bias_table[[4, 3, 1, 0], head]
         weight += 2 * [logits.softmax(0)[0]]
     here = here + attention.project(torch.stack(weight) * level.values(v).flatten())
-    here = here + block.mlp(block.norm2(here))
+    widen, narrow = block.mlp[0], block.mlp[-1]
+    here = here + narrow(gelu(widen(block.norm2(here))))
     assert level(x, v).flatten().tolist() == pytest.approx(level.norm(here).tolist(), abs=1e-5)
 
 
@@ -267,6 +278,19 @@ def test_pyramid_pooling_on_a_constant_map_is_constant_inside():
     assert all(region[2].num_groups == 4 for region in pooling.regions)
     y = pooling(torch.randn(1, 6, 1, 1).expand(1, 6, 7, 9))[:, :, 1:-1, 1:-1]
     assert torch.allclose(y, y[:, :, :1, :1].expand_as(y), atol=1e-5)
+
+
+@torch.no_grad()
+def test_pyramid_pooling_by_hand():
+    torch.manual_seed(0)
+    pooling, x = PyramidPooling(6, 8).eval(), torch.randn(2, 6, 7, 9)
+    maps = [x]
+    for side, (_, conv, norm, *_) in zip((1, 2, 3, 6), pooling.regions, strict=True):
+        pooled = norm(conv2d(adaptive_avg_pool2d(x, side), conv.weight)).relu()
+        maps.append(interpolate(pooled, size=(7, 9), mode="bilinear", align_corners=False))
+    conv, norm, *_ = pooling.join
+    expected = norm(conv2d(torch.cat(maps, dim=1), conv.weight, padding=1)).relu()
+    torch.testing.assert_close(pooling(x), expected)
 
 
 @torch.no_grad()

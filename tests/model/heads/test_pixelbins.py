@@ -62,5 +62,8 @@ def test_published_widths_can_die_and_ours_cannot():
 
 
 def test_every_pixel_has_bins_of_its_own():
+    layer, x = PixelBins(5, 3, DOMAIN, exact=False), torch.randn(1, 5, 4, 6)
+    alone = layer(x[:, :, 2:3, 4:5]).distribution.bin_centers
+    assert torch.allclose(layer(x).distribution.bin_centers[:, :, 2:3, 4:5], alone)
     centers = build_head(TINY)(decoder_features((64, 64))).distribution.bin_centers
     assert not torch.equal(centers[:, :, 0, 0], centers[:, :, 9, 9])

@@ -2,8 +2,18 @@ import math
 
 import pytest
 import torch
+from torch import nn
 
-from zoedepth.model.heads.probability import LogBinomial, Softmax, log_binomial, log_binomial_coefficients
+import zoedepth.model.heads.probability
+from zoedepth.model.heads.probability import (
+    BinDistribution,
+    LogBinomial,
+    Softmax,
+    build_probability,
+    convolved,
+    log_binomial,
+    log_binomial_coefficients,
+)
 from zoedepth.model.upsample import upsample
 
 
@@ -13,6 +23,14 @@ def test_coefficients_are_finite_and_symmetric(n_bins: int):
     assert coefficients.shape == (n_bins,)
     assert coefficients.isfinite().all()
     assert torch.allclose(coefficients, coefficients.flip(0), atol=1e-4)
+
+
+def test_coefficients_are_computed_in_double_precision():
+    def times_log(x: float) -> float:
+        return x * math.log(x)
+
+    expected = [times_log(255) - times_log(k + 1e-7) - times_log(255 - k + 1e-7) for k in range(256)]
+    assert log_binomial_coefficients(256).tolist() == pytest.approx(expected, abs=2e-5)
 
 
 def test_extremes_of_q_choose_the_first_and_the_last_bin():
@@ -111,3 +129,65 @@ def test_coefficients_are_no_weights():
     """They follow from the number of bins, so files do not carry them."""
     predictor = LogBinomial(8, 16, bottleneck_factor=2, min_temperature=0.1, max_temperature=5.0)
     assert all(name.startswith("mlp.") for name in predictor.state_dict())
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("bias", [True, False])
+def test_convolution_of_maps_is_that_of_their_stack(bias: bool):
+    torch.manual_seed(0)
+    conv = nn.Conv2d(8, 3, 1, bias=bias)
+    maps = [torch.randn(2, 5, 4, 6), torch.randn(2, 3, 2, 3)]
+    stack = torch.cat([maps[0], upsample(maps[1], (4, 6))], dim=1)
+    torch.testing.assert_close(convolved(conv, maps), conv(stack))
+
+
+def test_kinds_of_probability():
+    options = {"bottleneck_factor": 2, "min_temperature": 0.1, "max_temperature": 5.0}
+    assert isinstance(build_probability("softmax", 8, 16, **options), Softmax)
+    assert isinstance(build_probability("log-binomial", 8, 16, **options), LogBinomial)
+
+
+# --- distributions ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("n_weights", "bias"), [(0, False), (1, False), (1, True), (2, False), (2, True)])
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (6, 4)])
+def test_distribution_by_definition(n_weights: int, bias: bool, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch):
+    """Logits are the maps, or products that the images share or not; with gradients at once, without in bands."""
+    torch.manual_seed(0)
+    maps = torch.randn(2, 3 if n_weights else 5, 6, 4, dtype=torch.float64)
+    weight = torch.randn(n_weights, 5, 3, dtype=torch.float64) if n_weights else None
+    shift = torch.randn(n_weights, 5, dtype=torch.float64) if bias else None
+    centers = torch.rand(2, 5, *size, dtype=torch.float64)
+    logits = maps if weight is None else torch.einsum("bkt,bthw->bkhw", weight.expand(2, -1, -1), maps)
+    probability = (logits if shift is None else logits + shift[:, :, None, None]).softmax(dim=1)
+    places = upsample(centers, (6, 4))
+    mean = (probability * places).sum(dim=1, keepdim=True)
+    std = (probability * (places - mean).square()).sum(dim=1, keepdim=True).sqrt()
+
+    distribution = BinDistribution(maps, weight, shift, centers)
+    torch.testing.assert_close(distribution.probability, probability)
+    torch.testing.assert_close(distribution.bin_centers, places)
+    for gradients in (True, False):
+        for band in (1, 80, 2**19):
+            monkeypatch.setattr(zoedepth.model.heads.probability, "_BAND", band)
+            with torch.set_grad_enabled(gradients):
+                torch.testing.assert_close(distribution.mean(), mean)
+                torch.testing.assert_close(distribution.mean_and_std(), (mean, std))
+
+
+@pytest.mark.parametrize(
+    ("gradients", "band", "n_bands"), [(True, 80, 1), (False, 2**19, 1), (False, 80, 3), (False, 1, 6)]
+)
+def test_bands_are_as_large_as_they_may_be_and_gradients_have_none(
+    gradients: bool, band: int, n_bands: int, monkeypatch: pytest.MonkeyPatch
+):
+    """A row has 2 x 4 pixels of 5 bins: two rows fit in 80 numbers, and a band has at least one."""
+    monkeypatch.setattr(zoedepth.model.heads.probability, "_BAND", band)
+    sizes = []
+    monkeypatch.setattr(
+        zoedepth.model.heads.probability, "expected_depth", lambda p, c: sizes.append(p.numel()) or (p * c).sum(dim=-1)
+    )
+    with torch.set_grad_enabled(gradients):
+        BinDistribution(torch.randn(2, 5, 6, 4), None, None, torch.rand(2, 5, 2, 3)).mean()
+    assert sizes == [240 // n_bands] * n_bands

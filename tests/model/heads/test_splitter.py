@@ -6,6 +6,7 @@ import pytest
 import torch
 from tests.model.heads.base import DOMAIN, HeadTester, build_head, decoder_features, scaled
 from torch import Tensor
+from torch.nn.functional import gelu
 
 from zoedepth.config import INDOOR, OUTDOOR, Domain, ModelConfig, SplitterConfig
 from zoedepth.model.decoder import DecoderFeatures
@@ -155,6 +156,14 @@ def test_default_head_has_the_64_bins_of_zoedepth_and_the_native_one_256(n_seed_
     assert head(decoder_features((32, 32))).distribution.bin_centers.shape[1] == n_bins
 
 
+def test_mlps_are_two_convolutions_with_a_gelu_between():
+    head = build_head(TINY)
+    for mlp in (head.shared.projectors.seed, *head.shared.projectors.levels, *head.domain.bins.splitters):
+        first, last = mlp[0], mlp[-1]
+        x = 3 * torch.randn(2, first.in_channels, 2, 3)
+        torch.testing.assert_close(mlp(x), last(gelu(first(x))))
+
+
 # --- windows ----------------------------------------------------------------------------------------------------------
 
 
@@ -203,12 +212,17 @@ def test_pooled_window_is_the_mean_inside_it():
     middles = torch.tensor([[0.25, 0.7], [0.25, 0.7]])  # of the columns of both windows, then of the rows
     assert torch.allclose(pooled[0, :, :, 0], middles, atol=1e-5)
     assert torch.allclose(pooled[1, :, :, 0], 10 + middles, atol=1e-4)
+    assert pool_windows(maps.bfloat16(), boxes).dtype == torch.bfloat16
 
 
 def test_windows_of_a_flat_photo_have_the_bins_of_its_pixels_at_every_level():
     head, features = build_head(WINDOWS), flat_features()
     bins = head(features).supervision.window_bins
     assert bins.boxes.shape == (2, 15, 4)
+    left, top, right, bottom = (bins.boxes * torch.tensor([96.0, 64.0, 96.0, 64.0])).unbind(dim=2)
+    sides = torch.tensor(WINDOW_SIZES).repeat_interleave(3).expand(2, -1).float()
+    assert torch.allclose(right - left, sides, atol=1e-4), "pixels of the photo"
+    assert torch.allclose(bottom - top, sides, atol=1e-4)
     shared = head.shared(features)
     levels = head.domain.bins(shared.bottleneck, shared.embeddings)
     assert [x.shape for x in bins.centers] == [(2, 15, n) for n in (4, 8, 16, 32)]
