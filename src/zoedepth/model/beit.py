@@ -53,7 +53,6 @@ class BeitNetwork(nn.Module):
         network = create_network(
             name,
             num_classes=0,
-            img_size=size,
             use_rel_pos_bias=False,
             **{option: value for option, value in overrides.items() if value is not None},
         )
