@@ -1,6 +1,6 @@
-"""Steps on checkpoints of the released sizes, each a process of its own so that its memory can be told.
+"""A checkpoint of a released size, and what it takes to load one.
 
-python -m tests.weights.layouts.full_size STEP ARGUMENTS    # prints one JSON object
+python -m tests.weights.layouts.full_size FILE    # loads it and prints one JSON object
 """
 
 import ast
@@ -14,8 +14,8 @@ import torch
 KEYS = Path(__file__).parent / "keys"
 
 
-def write(keys: str, target: str) -> dict:
-    """A ``.pt`` of the original's layout with the names and shapes of a key list and random values."""
+def write(keys: str, target: Path) -> None:
+    """Write a ``.pt`` of the original's layout with the names and shapes of a key list and random values."""
     generator = torch.Generator().manual_seed(0)
     state = {}
     for line in (KEYS / keys).read_text().splitlines():
@@ -36,7 +36,6 @@ def write(keys: str, target: str) -> dict:
             value *= 0.1
         state[name] = value
     torch.save({"model": state, "optimizer": None, "epoch": 5}, target)
-    return {"weights": len(state)}
 
 
 def load(path: str) -> dict:
@@ -59,20 +58,6 @@ def load(path: str) -> dict:
     }
 
 
-def compare(one: str, other: str) -> dict:
-    """Which weights of two ``.pt`` files differ."""
-    first, second = (torch.load(path, mmap=True, weights_only=True)["model"] for path in (one, other))
-    return {
-        "missing": sorted(first.keys() - second.keys()),
-        "added": sorted(second.keys() - first.keys()),
-        "changed": sorted(
-            name
-            for name in first.keys() & second.keys()
-            if first[name].dtype != second[name].dtype or not torch.equal(first[name], second[name])
-        ),
-    }
-
-
 def _import_timm() -> None:
     """Import what building a model imports, so that its memory does not count as the weights'."""
     import timm
@@ -87,5 +72,4 @@ def _peak() -> int:
 
 
 if __name__ == "__main__":
-    steps = {step.__name__: step for step in (write, load, compare)}
-    print(json.dumps(steps[sys.argv[1]](*sys.argv[2:])))
+    print(json.dumps(load(sys.argv[1])))
