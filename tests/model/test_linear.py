@@ -51,6 +51,8 @@ def test_gradients_and_other_precisions_use_torchs_own_products(slow_products: N
         assert network(x).dtype == torch.bfloat16
     with torch.no_grad():
         assert network.double()(x.double()).dtype == torch.float64
+        with pytest.raises(TypeError):  # a convolution, which is missing here
+            network.float()(x)
 
 
 @torch.no_grad()
@@ -66,11 +68,24 @@ def test_a_model_keeps_its_depth_its_keys_and_its_file(
     assert n_convolved(other) > 0
     assert n_convolved(model) == 0
     assert list(other.state_dict()) == list(model.state_dict())
-    pixels = torch.rand(2, 3, 64, 96)
+    pixels, called = torch.rand(2, 3, 64, 96), set()
+    for module in other.modules():
+        if isinstance(module, ConvolvedLinear):
+            module.register_forward_hook(lambda module, *_: called.add(module))
     # Sums in another order: a few units in the last place of float32 (1.2e-7), through four blocks.
     assert torch.allclose(other(pixels).depth, model(pixels).depth, rtol=1e-5)
+    assert len(called) == n_convolved(other), "timm calls the layers, and does not take their weights only"
     save_model(other, tmp_path / "again.safetensors")
     assert (tmp_path / "again.safetensors").read_bytes() == (tmp_path / "model.safetensors").read_bytes()
+
+
+def test_a_seed_gives_the_same_weights_on_any_processor(tiny_config: ModelConfig, monkeypatch: pytest.MonkeyPatch):
+    weights = []
+    for slow in ("0", "1"):
+        monkeypatch.setenv(SWITCH, slow)
+        torch.manual_seed(0)
+        weights.append(ZoeDepth(tiny_config).state_dict())
+    assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
 
 
 @pytest.mark.parametrize("slow", [True, False])

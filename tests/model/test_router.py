@@ -29,9 +29,10 @@ def test_labeled_router_gives_the_given_domain():
     assert routing.weight is None
 
 
-def test_labeled_router_without_labels_is_an_error():
+@pytest.mark.parametrize("n_domains", [2, 3])
+def test_labeled_router_without_labels_is_an_error(n_domains: int):
     with pytest.raises(InputError, match="domain"):
-        router("labeled")(bottleneck(), None)
+        router("labeled", n_domains=n_domains)(bottleneck(), None)
 
 
 @pytest.mark.parametrize("kind", ["labeled", "trained", "auto"])
@@ -39,15 +40,17 @@ def test_one_domain_needs_neither_labels_nor_a_classifier(kind: str):
     single = router(kind, n_domains=1)
     assert list(single.parameters()) == []
     routing = single(bottleneck(), None)
-    assert torch.equal(routing.domain, torch.zeros(4, dtype=torch.long))
+    assert routing.domain.tolist() == [0] * 4
+    assert routing.domain.dtype == torch.long
     assert routing.logits is None
 
 
 @CLASSIFIERS
 @LEARNED
 def test_each_image_takes_its_own_best_score_in_evaluation(kind: str, classifier: str):
-    routing = router(kind, classifier=classifier)(bottleneck(), None)
-    assert routing.logits.shape == (4, 3)
+    routing = router(kind, classifier=classifier)(bottleneck(12), None)
+    assert routing.logits.shape == (12, 3)
+    assert len(set(routing.domain.tolist())) > 1
     for scores, domain in zip(routing.logits.tolist(), routing.domain.tolist(), strict=True):
         assert scores[domain] == max(scores)
     assert routing.weight is None

@@ -49,8 +49,9 @@ def test_checkpointed_gradients_are_the_same():
 
 def test_depthwise_convolutions_train_in_float32_and_no_others():
     torch.manual_seed(0)
-    network = nn.Sequential(nn.Conv2d(4, 4, 3, groups=4, bias=False), nn.Conv2d(4, 4, 3), nn.Conv2d(1, 1, 3))
-    x = torch.randn(2, 4, 8, 8)
+    depthwise = nn.Conv2d(2, 2, 3, stride=2, padding=3, dilation=2, groups=2, bias=False)
+    network = nn.Sequential(depthwise, nn.Conv2d(4, 4, 3), nn.Conv2d(1, 1, 3))
+    x = torch.randn(2, 2, 8, 8)
     with torch.no_grad():
         expected = network[0](x)
     replace_depthwise(network)
