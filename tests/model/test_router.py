@@ -106,6 +106,14 @@ def test_bottleneck_of_any_size(classifier: str, size: tuple[int, int]):
 
 
 @CLASSIFIERS
+@pytest.mark.parametrize("n_domains", [1, 3])
+def test_everything_a_router_makes_is_on_the_device_of_its_input(classifier: str, n_domains: int):
+    """The device that has shapes but no numbers refuses to meet the CPU, as a GPU does."""
+    network = router("trained", classifier=classifier, n_domains=n_domains).to("meta")
+    assert network(bottleneck().to("meta"), None).domain.is_meta
+
+
+@CLASSIFIERS
 def test_every_weight_of_the_classifier_gets_a_gradient(classifier: str):
     network = router("trained", classifier=classifier)
     network(bottleneck(8), None).logits.square().sum().backward()

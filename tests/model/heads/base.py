@@ -85,6 +85,13 @@ def loss_of(output: HeadOutput, size: tuple[int, int]) -> Tensor:
     return torch.stack(list(terms.values())).sum()
 
 
+def tensors_of(x: Any) -> list[Tensor]:
+    """Every tensor of nested tuples."""
+    if isinstance(x, tuple):
+        return [tensor for part in x for tensor in tensors_of(part)]
+    return [x] if isinstance(x, Tensor) else []
+
+
 class _Exportable(nn.Module):
     """A head as torch.export takes it: tensors in, a tensor out."""
 
@@ -223,6 +230,15 @@ class HeadTester:
             assert probability.dtype == torch.float32
             assert torch.allclose(total, torch.ones_like(total), atol=1e-4)
         assert ((output.depth - exact.depth).abs() / exact.depth).mean() < 0.05
+
+    def test_everything_it_makes_is_on_the_device_of_its_input(self, head: Head):
+        """The device that has shapes but no numbers refuses to meet the CPU, as a GPU does."""
+        bottleneck, levels, last, relative = decoder_features((64, 64))
+        meta = DecoderFeatures(
+            bottleneck.to("meta"), tuple(x.to("meta") for x in levels), last.to("meta"), relative.to("meta")
+        )
+        output = head.to("meta")(meta)
+        assert {x.device.type for x in tensors_of((output.prediction, output.supervision))} == {"meta"}
 
     def test_weights_carry_everything_to_another_head(self, head: Head, config: Any):
         file = io.BytesIO()
