@@ -2,9 +2,10 @@
 
 import re
 from pathlib import Path
+from typing import Any
 from urllib.parse import parse_qsl
 
-from zoedepth.data.facts import Facts
+from zoedepth.data.facts import Facts, parse_facts
 from zoedepth.data.folders import LAYOUTS, find_layout
 from zoedepth.data.huggingface import HuggingFaceDataset, is_saved, load_hub, load_saved
 from zoedepth.data.pairs import PairDataset, find_list
@@ -41,6 +42,8 @@ def open_dataset(
     allow_missing: bool = False,
     depth_scale: float | None = None,
     domain: str | None = None,
+    max_depth: float | None = None,
+    keep_missing: bool = False,
     use_masks: bool = True,
 ) -> DepthDataset:
     """Open photos with depth, wherever and however they are kept.
@@ -51,8 +54,11 @@ def open_dataset(
             folder, unless a list, an index or saved data in the folder shows that it is your own.
         split: which list, folder or split to take, where there are several.
         allow_missing: accept photos without depth, where the format can say that there is none.
-        depth_scale: the stored value of one metre, where the data does not say it.
+        depth_scale: the stored value of one metre, for whole numbers of which the data does not say it.
         domain: scene type, where the data does not say it.
+        max_depth: the metres from which on depth is unknown, where the data does not say it.
+        keep_missing: accept pairs whose files are missing. Reading them is an error, and ``missing_files`` of the data
+            set lists them.
         use_masks: False ignores a published set's own masks, see ``zoedepth.datasets.published.PublishedDataset``.
 
     Raises:
@@ -61,64 +67,68 @@ def open_dataset(
     """
     text = str(source)
     scheme = text.partition(":")[0]
+    given = {"depth_scale": depth_scale, "domain": domain, "max_depth": max_depth}
+    missing = {"allow_missing": allow_missing, "keep_missing": keep_missing}
     if scheme == "hf":
-        return _open_hub(text, split=split, facts=Facts(depth_scale, domain))
+        return _open_hub(text, split=split, facts=Facts(depth_scale, domain, max_depth=max_depth))
     if scheme == "synthetic":
         return _open_synthetic(text)
     if scheme in ("http", "https"):
         if not text.startswith(f"{scheme}://") or not text.endswith((f"/{INDEX_FILE}", ".tar")):
             raise InputError(f"cannot open {text}: the address must be that of {INDEX_FILE} or a .tar; {ACCEPTED}")
-        return ShardDataset(text, depth_scale=depth_scale, domain=domain)
+        return ShardDataset(text, **given)
     path = Path(source)
     if path.is_dir() and name in DATASETS and not use_masks:
         return DATASETS[name](path, split=split, allow_missing=allow_missing, use_masks=False)
     if path.is_dir():
-        return _open_folder(
-            path, name=name, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain
-        )
+        return _open_folder(path, name=name, split=split, given=given, missing=missing)
     if not path.is_file():
         raise InputError(f"there is no {path}; {ACCEPTED}")
     if path.suffix.lower() in LISTS:
-        return PairDataset(path, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+        return PairDataset(path, **missing, **given)
     if path.suffix == ".tar" or path.name == INDEX_FILE:
-        return ShardDataset(path, depth_scale=depth_scale, domain=domain)
+        return ShardDataset(path, **given)
     raise InputError(f"{path} is not data in a known format; {ACCEPTED}")
 
 
 def _open_folder(
-    path: Path, *, name: str | None, split: str, allow_missing: bool, depth_scale: float | None, domain: str | None
+    path: Path, *, name: str | None, split: str, given: dict[str, Any], missing: dict[str, bool]
 ) -> DepthDataset:
     shards = path / split if (path / split / INDEX_FILE).is_file() else path
     if find_list(path, split):
-        return PairDataset(path, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+        return PairDataset(path, split=split, **missing, **given)
     if (shards / INDEX_FILE).is_file():
-        return ShardDataset(shards, depth_scale=depth_scale, domain=domain)
+        return ShardDataset(shards, **given)
     if is_saved(path):
         data = load_saved(path, split=split)
-        return HuggingFaceDataset(data, name=str(path), depth_scale=depth_scale, domain=domain, folder=path)
+        given = {**given, "depth_scale": None, "default_scale": given["depth_scale"]}
+        return HuggingFaceDataset(data, name=str(path), **given, folder=path)
     if name in DATASETS:
-        return DATASETS[name](path, split=split, allow_missing=allow_missing)
+        return DATASETS[name](path, split=split, allow_missing=missing["allow_missing"])
     if find_layout(path):
-        return PairDataset(path, split=split, allow_missing=allow_missing, depth_scale=depth_scale, domain=domain)
+        return PairDataset(path, split=split, **missing, **given)
     if find_shards(path):
-        return ShardDataset(path, depth_scale=depth_scale, domain=domain)
+        return ShardDataset(path, **given)
     looked = f"{split}.csv, {split}.jsonl, {INDEX_FILE}, tar files, folders of photos and depth"
     raise InputError(f"{path} has none of {looked}, and {name!r} is no published data set; {ACCEPTED}")
 
 
 def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:
-    address, options = _options(text, {"domain", "depth_scale", "config"})
+    address, options = _options(text, {"domain", "depth_scale", "max_depth", "config"})
     if not (found := _HUB.fullmatch(address)):
         raise InputError(f"cannot open {text}: write it as hf:OWNER/NAME[@REVISION][:SPLIT]; {ACCEPTED}")
-    try:
-        scale = float(options["depth_scale"]) if "depth_scale" in options else facts.depth_scale
-    except ValueError as error:
-        raise InputError(f"cannot open {text}: depth_scale must be a number, the stored value of one metre") from error
+    said = parse_facts(options, f"cannot open {text}")
+    both = said.over(facts)
     data = load_hub(
         found["repo"], split=found["split"] or split, revision=found["revision"], config=options.get("config")
     )
     return HuggingFaceDataset(
-        data, name=f"hf:{address}", depth_scale=scale, domain=options.get("domain") or facts.domain
+        data,
+        name=f"hf:{address}",
+        depth_scale=said.depth_scale,
+        domain=both.domain,
+        max_depth=both.max_depth,
+        default_scale=facts.depth_scale,
     )
 
 

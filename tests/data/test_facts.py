@@ -19,6 +19,7 @@ CAMERA = Intrinsics(5, 6, 7, 8)
         ({"depth_scale": "1000", "domain": "indoor"}, Facts(1000, "indoor")),
         ({"fx": 5, "fy": "6.0", "cx": 7, "cy": 8, "cam_in": [1, 1, 1, 1]}, Facts(camera=CAMERA)),
         ({"cam_in": [5, 6, 7, 8]}, Facts(camera=CAMERA)),
+        ({"max_depth": "65.53"}, Facts(max_depth=65.53)),
     ],
 )
 def test_keys_of_a_row(row: dict, expected: Facts) -> None:
@@ -33,6 +34,8 @@ def test_keys_of_a_row(row: dict, expected: Facts) -> None:
         ({"depth_scale": 0}, "depth_scale must be finite and > 0; it is 0"),
         ({"depth_scale": "inf"}, "depth_scale must be finite"),
         ({"domain": 3}, "domain must be text.*3"),
+        ({"max_depth": "sky"}, "max_depth must be a number > 0.*'sky'"),
+        ({"max_depth": -1}, "max_depth must be a number > 0.*-1"),
         ({"fx": 5}, r"four numbers.*\[5, None, None, None\]"),
         ({"fx": 5, "fy": 6, "cx": 7, "cy": "nan"}, "four numbers"),
         ({"fx": 0, "fy": 6, "cx": 7, "cy": 8}, "focal lengths.*0.0 and 6.0"),
@@ -46,17 +49,19 @@ def test_value_that_cannot_be_is_an_error_that_names_place_and_key(row: dict, wo
 
 
 def test_facts_go_before_defaults_one_by_one() -> None:
-    defaults = Facts(256, "outdoor", CAMERA)
+    defaults = Facts(256, "outdoor", CAMERA, 80)
     assert Facts().over(defaults) == defaults
-    assert Facts(1000).over(defaults) == Facts(1000, "outdoor", CAMERA)
-    assert Facts(None, "indoor").over(defaults) == Facts(256, "indoor", CAMERA)
-    assert defaults.over(Facts(1, "attic", Intrinsics(1, 1, 1, 1))) == defaults
+    assert Facts(1000).over(defaults) == Facts(1000, "outdoor", CAMERA, 80)
+    assert Facts(None, "indoor", max_depth=10).over(defaults) == Facts(256, "indoor", CAMERA, 10)
+    assert defaults.over(Facts(1, "attic", Intrinsics(1, 1, 1, 1), 1)) == defaults
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
 def test_scale_that_cannot_be_is_an_error(scale: float) -> None:
     with pytest.raises(InputError, match="depth_scale must be finite and > 0"):
         Facts(scale)
+    with pytest.raises(InputError, match="max_depth must be finite and > 0"):
+        Facts(max_depth=scale)
 
 
 def test_defaults_are_in_a_file_of_the_folder_or_there_are_none(tmp_path: Path) -> None:

@@ -69,6 +69,12 @@ def test_whole_numbers_need_their_unit(tmp_path: Path) -> None:
     assert (sample.target[0].tolist(), sample.domain) == (KNOWN, "hall")
 
 
+def test_floats_stay_metres_whatever_is_said_for_whole_numbers_and_far_ones_are_unknown(tmp_path: Path) -> None:
+    folder = save(tmp_path / "saved", [METRES], array())
+    (folder / "dataset.json").write_text('{"depth_scale": 1000, "domain": "hall", "max_depth": 3}')
+    assert open_dataset(folder, depth_scale=256)[0].target[0].tolist() == [[1.5, 0, 2.5], [0, 0, 0]]
+
+
 def test_splits(tmp_path: Path) -> None:
     rows = {"image": [GREY], "depth": [METRES]}
     features = datasets.Features({"image": datasets.Image(), "depth": array()})

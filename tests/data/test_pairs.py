@@ -377,6 +377,25 @@ def test_whole_numbers_of_which_nobody_says_the_unit_are_an_error(tmp_path: Path
     assert PairDataset(path, depth_scale=1000)[0].target[0].tolist() == [[1.5, 0.25]]
 
 
+def test_default_unit_leaves_floats_in_metres_and_max_depth_is_said_once_or_in_a_line(tmp_path: Path) -> None:
+    row = {"image": "photo.jpg", "depth": "depth.npy", "domain": "indoor"}
+    path = write_pair(tmp_path, np.ones((1, 3), np.uint16), depth="depth.npy", domain="indoor")
+    np.save(tmp_path / "depth.npy", np.array([[2.5, 8.0, 65504.0]], np.float32))
+    (tmp_path / "dataset.json").write_text('{"depth_scale": 1000, "max_depth": 60}')
+    assert PairDataset(path)[0].target[0].tolist() == [[2.5, 8.0, 0]]
+    nearer = write_csv(tmp_path / "nearer.csv", [{**row, "max_depth": 5}])
+    assert PairDataset(nearer)[0].target[0].tolist() == [[2.5, 0, 0]]
+
+
+def test_pairs_whose_files_are_missing_are_listed_where_they_are_accepted(tmp_path: Path) -> None:
+    path = write_pair(tmp_path, np.ones((1, 1), np.uint16), depth="target.png", depth_scale=1, domain="indoor")
+    (tmp_path / "photo.jpg").unlink()
+    dataset = PairDataset(path, keep_missing=True)
+    assert dataset.missing_files() == [tmp_path / "photo.jpg"]
+    with pytest.raises(InputError, match=r"photo\.jpg"):
+        dataset[0]
+
+
 def test_png_of_this_package_says_its_own_unit(tmp_path: Path) -> None:
     path = write_pair(tmp_path, np.ones((1, 2), np.uint16), depth="depth.png", domain="indoor")
     write_depth_png(tmp_path / "depth.png", np.array([[1.5, 200.0]], np.float32), scale=256)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from zoedepth.data.facts import Facts
 from zoedepth.data.sample import Sample
@@ -38,6 +39,29 @@ def test_whole_numbers_without_a_unit_are_an_error_and_floats_are_metres() -> No
     with pytest.raises(InputError, match=r"a\.png has whole numbers.*give depth_scale"):
         make(LEVELS)
     assert make(LEVELS.astype(np.float64)).target[0, 0, 2] == 1000
+
+
+def test_default_unit_is_for_whole_numbers_only() -> None:
+    metres = np.array([[2.5]], np.float32).repeat(3, 1).repeat(2, 0)
+    assert make(metres, default_scale=1000).target[0, 0, 0] == 2.5
+    assert make(metres, facts=Facts(1000)).target[0, 0, 0] == np.float32(2.5) / 1000  # said of this very file
+
+
+@pytest.mark.parametrize("mark", [65504.0, 1e10, 655.35])
+def test_depth_of_the_largest_or_more_is_unknown(mark: float) -> None:
+    values = np.array([[1.0, 59.9, 60.0], [mark, 0.0, 2.0]], np.float32)
+    sample = make(values, facts=Facts(max_depth=60.0))
+    assert sample.mask[0].tolist() == [[True, True, False], [False, False, True]]
+    assert sample.target[0].tolist() == [[1.0, np.float32(59.9), 0], [0, 0, 2.0]]
+    masked = make(values, facts=Facts(max_depth=60.0), mask=np.ones((2, 3), bool), mask_decides=True)
+    assert torch.equal(masked.mask, sample.mask)
+
+
+def test_depth_of_8_bits_is_a_picture_and_disparity_may_have_them() -> None:
+    values = LEVELS.astype(np.uint8)
+    with pytest.raises(InputError, match=r"a\.png has 8 bits a pixel: it is a picture of depth"):
+        make(values, facts=Facts(10))
+    assert make(values, kind="disparity").mask.any()
 
 
 def test_disparity_has_no_unit() -> None:

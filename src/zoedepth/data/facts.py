@@ -25,22 +25,29 @@ class Facts:
     """Scene type: "indoor", "outdoor" or your own."""
     camera: Intrinsics | None = None
     """The camera at the size of the photo."""
+    max_depth: float | None = None
+    """Depth of this many metres or more is unknown: a mark for holes or the sky, or beyond the sensor's reach."""
 
     def __post_init__(self) -> None:
         if self.depth_scale is not None and not 0 < self.depth_scale < math.inf:
             raise InputError(
                 f"depth_scale must be finite and > 0, for example 1000 for millimetres; it is {self.depth_scale}"
             )
+        if self.max_depth is not None and not 0 < self.max_depth < math.inf:
+            raise InputError(f"max_depth must be finite and > 0, in metres; it is {self.max_depth}")
 
     def over(self, defaults: "Facts") -> "Facts":
         """Return these facts, and the defaults where these say nothing."""
         return Facts(
-            self.depth_scale or defaults.depth_scale, self.domain or defaults.domain, self.camera or defaults.camera
+            self.depth_scale or defaults.depth_scale,
+            self.domain or defaults.domain,
+            self.camera or defaults.camera,
+            self.max_depth or defaults.max_depth,
         )
 
 
 def parse_facts(row: Mapping[str, object], where: str) -> Facts:
-    """Return the facts in a row: depth_scale, domain, and fx, fy, cx, cy, or cam_in with these four in a list.
+    """Return the facts in a row: depth_scale, domain, max_depth, and fx, fy, cx, cy, or cam_in with these four.
 
     Args:
         row: values are text or numbers; None and "" say nothing. Other keys are ignored.
@@ -62,7 +69,15 @@ def parse_facts(row: Mapping[str, object], where: str) -> Facts:
             )
         if not 0 < scale < math.inf:
             raise InputError(f"{where}: depth_scale must be finite and > 0; it is {scale}")
-    return Facts(scale, str(domain) if domain else None, _parse_camera(row, where))
+    max_depth = None
+    if row.get("max_depth") not in (None, ""):
+        max_depth = _number(row["max_depth"])
+        if max_depth is None or not 0 < max_depth < math.inf:
+            raise InputError(
+                f"{where}: max_depth must be a number > 0, the metres from which on depth is unknown; it is "
+                f"{_short(row['max_depth'])}"
+            )
+    return Facts(scale, str(domain) if domain else None, _parse_camera(row, where), max_depth)
 
 
 def read_defaults(folder: Path) -> Facts:

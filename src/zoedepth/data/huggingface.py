@@ -1,5 +1,6 @@
 """Data sets of Hugging Face's library ``datasets``, from the Hub or from disk. None of their code is run."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,8 +85,10 @@ class HuggingFaceDataset(Dataset[Sample]):
     Args:
         data: the rows.
         name: a name for them in messages and in the samples' names.
-        depth_scale: the stored value of one metre.
+        depth_scale: the stored value of one metre, of floats too.
         domain: scene type of all photos.
+        max_depth: the metres from which on depth is unknown.
+        default_scale: the stored value of one metre for whole numbers of which nobody says it.
         folder: has the ``dataset.json`` that may say what the arguments do not.
 
     Raises:
@@ -99,6 +102,8 @@ class HuggingFaceDataset(Dataset[Sample]):
         name: str,
         depth_scale: float | None = None,
         domain: str | None = None,
+        max_depth: float | None = None,
+        default_scale: float | None = None,
         folder: Path | None = None,
     ) -> None:
         features = data.features
@@ -109,7 +114,9 @@ class HuggingFaceDataset(Dataset[Sample]):
         if not len(data):
             raise InputError(f"{name} has no rows")
         self.name = name
-        self._facts = Facts(depth_scale, domain).over(read_defaults(folder) if folder else Facts())
+        defaults = read_defaults(folder) if folder else Facts()
+        self._facts = replace(Facts(None, domain, max_depth=max_depth).over(defaults), depth_scale=depth_scale)
+        self._default_scale = default_scale or defaults.depth_scale
         if not self._facts.domain:
             raise InputError(f"{name} needs a domain: give ?domain=indoor behind its name, or in dataset.json")
         # The files' own bytes: formats and sizes are ours to check.
@@ -134,9 +141,15 @@ class HuggingFaceDataset(Dataset[Sample]):
             _stored(self._depths[index][depth], names[1]),
             kind="depth",
             facts=self._facts,
+            default_scale=self._default_scale,
             name=f"{index:08d}",
             files=(names[0], names[1]),
         )
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that hold the rows."""
+        return [Path(file["filename"]) for file in self._photos.cache_files]
 
     @property
     def domains(self) -> list[str]:

@@ -1,20 +1,18 @@
-"""Lists of pairs: CSV, JSON Lines, and the text lists of BTS."""
+"""Lists of pairs: CSV, JSON Lines, and text lists."""
 
-import csv
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts
+from zoedepth.data.names import Finder
 from zoedepth.data.sample import Target
+from zoedepth.data.tables import has_header, read_lines, read_table
+from zoedepth.data.text_lists import MISSING, read_text_list
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.stored import declared_scale, parse_json
-
-MISSING = "None"
-"""The word that stands in a list where a photo has no depth."""
-
-_MAX_LINE = 1 << 20
+from zoedepth.stored import DEPTH_SUFFIXES, declared_scale, parse_json
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +30,8 @@ class Pair:
     """The camera at the size of the photo."""
     mask: Path | None = None
     """A PNG, not zero where the target is valid."""
+    max_depth: float | None = None
+    """Depth of this many metres or more is unknown."""
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -39,18 +39,29 @@ class Pair:
         return tuple(path for path in (self.image, self.target, self.mask) if path is not None)
 
 
-def read_list(path: Path, defaults: Facts) -> list[Pair]:
-    """Read the pairs of a list: .jsonl, .txt (BTS), anything else is CSV. Its files are relative to its folder.
+def read_list(path: Path, defaults: Facts, *, root: Path | None = None, anywhere: bool = True) -> list[Pair]:
+    """Read the pairs of a list: JSON Lines (.jsonl), a table with names of columns, or a text list without (.txt).
 
     Args:
-        path: the list.
+        path: the list; see ``zoedepth.data.tables`` and ``zoedepth.data.text_lists`` for the forms that are read.
         defaults: facts for the lines that do not say them.
+        root: the folder that its paths are relative to; None takes that of the list.
+        anywhere: absolute paths, and those that lead out of the root, are taken, too. A list from elsewhere should not
+            reach out of its folder.
 
     Raises:
         InputError: the list is not text, is empty, or has a malformed line, which is named.
     """
-    readers: dict[str, Callable[[Path, Facts], Iterator[Pair]]] = {".jsonl": _read_jsonl, ".txt": _read_bts}
-    pairs = list(readers.get(path.suffix.lower(), _read_csv)(path, defaults))
+    root = path.parent if root is None else root
+    suffix = path.suffix.lower()
+    finder = Finder(root, anywhere=anywhere, leading_slash=suffix == ".txt")
+    if suffix == ".jsonl":
+        rows = _read_jsonl(path)
+    elif suffix == ".txt" and not has_header(path):  # spreadsheets write tables as .txt, too
+        rows = read_text_list(path, root)
+    else:
+        rows = read_table(path)
+    pairs = [_parse(row, finder, where, defaults) for where, row in rows]
     if not pairs:
         raise InputError(f"{path} lists no pairs")
     return pairs
@@ -71,57 +82,24 @@ def check_unit(pair: Pair, defaults: Facts, where: str) -> None:
         )
 
 
-def _read_csv(path: Path, defaults: Facts) -> Iterator[Pair]:
-    try:
-        reader = csv.DictReader(_lines(path))
-        for row in reader:
-            yield _parse(row, path, f"{path}, line {reader.line_num}", defaults)
-    except csv.Error as error:
-        raise InputError(f"{path} is not a CSV file in UTF-8 ({error})") from error
-
-
-def _read_jsonl(path: Path, defaults: Facts) -> Iterator[Pair]:
-    for number, line in enumerate(_lines(path), start=1):
+def _read_jsonl(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield (place for messages, the object) of the lines of a list."""
+    for number, line in enumerate(read_lines(path), start=1):
         if not line.strip():
             continue
         where = f"{path}, line {number}"
         row = parse_json(line, where)
         if row.get("depth", "") is None and not row.get("disparity"):
             row["depth"] = MISSING
-        yield _parse(row, path, where, defaults)
+        yield where, row
 
 
-def _read_bts(path: Path, defaults: Facts) -> Iterator[Pair]:
-    """Read lines ``photo depth focal``. A focal length without a principal point is not a camera, and is ignored."""
-    for number, line in enumerate(_lines(path), start=1):
-        if not (words := line.split()):
-            continue
-        where = f"{path}, line {number}"
-        if len(words) < 2:
-            raise InputError(f"{where}: needs a photo and its depth (or {MISSING}); it has only {words[0]!r}")
-        # Lists in circulation begin their paths with a slash, and mean a folder of their own all the same.
-        row = {"image": words[0].lstrip("/"), "depth": words[1].lstrip("/")}
-        yield _parse(row, path, where, defaults)
-
-
-def _lines(path: Path) -> Iterator[str]:
-    """Yield the lines of a text file, and refuse one without end."""
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as file:  # -sig: spreadsheets write a mark first
-            number = 0
-            while line := file.readline(_MAX_LINE):
-                number += 1
-                if len(line) == _MAX_LINE:
-                    raise InputError(f"{path}, line {number}: longer than {_MAX_LINE:,} characters; this is not a list")
-                yield line
-    except UnicodeDecodeError as error:
-        kind = "CSV file" if path.suffix.lower() == ".csv" else "list"
-        raise InputError(f"{path} is not a {kind} in UTF-8 ({error}): save it again in UTF-8") from error
-
-
-def _parse(row: Mapping[str, object], path: Path, where: str, defaults: Facts) -> Pair:
+def _parse(row: Mapping[str, object], finder: Finder, where: str, defaults: Facts) -> Pair:
     """Make a pair of one line of a list."""
-    image = row.get("image") or row.get("rgb")
+    image, rgb = row.get("image"), row.get("rgb")
+    if image and rgb and image != rgb:
+        raise InputError(f"{where}: says two photos, image {image!r} and rgb {rgb!r}. Remove one of them")
+    image = image or rgb
     kinds: list[Target] = [kind for kind in ("depth", "disparity") if row.get(kind)]
     if not image:
         raise InputError(f"{where}: has no image. Give the photo's path in the column image")
@@ -135,24 +113,19 @@ def _parse(row: Mapping[str, object], path: Path, where: str, defaults: Facts) -
     facts = said.over(defaults)
     if kind == "depth" and not facts.domain:
         raise InputError(f"{where}: needs a domain, for example indoor. Give it in the list or in {DEFAULTS_FILE}")
+    target = None if row[kind] == MISSING else finder.find(row[kind], where)
+    if target is not None and target.suffix.lower() not in DEPTH_SUFFIXES:
+        raise InputError(f"{where}: {row[kind]!r} cannot hold {kind}. It must be one of {', '.join(DEPTH_SUFFIXES)}")
     mask = row.get("mask")
     pair = Pair(
-        _inside(image, path, where),
-        None if row[kind] == MISSING else _inside(row[kind], path, where),
+        finder.find(image, where),
+        target,
         kind,
         said.depth_scale if kind == "depth" else 1.0,
         facts.domain or "",
         facts.camera,
-        None if mask in (None, "", MISSING) else _inside(mask, path, where),
+        None if mask in (None, "", MISSING) else finder.find(mask, where),
+        facts.max_depth,
     )
     check_unit(pair, defaults, where)
     return pair
-
-
-def _inside(name: object, path: Path, where: str) -> Path:
-    # A list is data from elsewhere: it may not reach out of its folder.
-    if not isinstance(name, str) or Path(name).is_absolute() or ".." in Path(name).parts:
-        raise InputError(
-            f"{where}: {name!r} must be a path inside the folder of the list, without .. and relative to it"
-        )
-    return path.parent / name

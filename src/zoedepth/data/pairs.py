@@ -19,6 +19,7 @@ Facts that hold for all pairs may stand once in ``dataset.json`` beside the list
 ``{"depth_scale": 1000, "domain": "indoor"}``, also with ``fx`` to ``cy``.
 """
 
+import os
 from pathlib import Path
 
 from torch.utils.data import Dataset
@@ -50,6 +51,9 @@ class PairDataset(Dataset[Sample]):
             them; otherwise it is an error, because nothing can be learned from it.
         depth_scale: the stored value of one metre, for files of which nobody says it.
         domain: scene type, for pairs of which nobody says it.
+        max_depth: the metres from which on depth is unknown, for pairs of which nobody says it.
+        root: the folder that the paths of a list are relative to; None takes that of the list.
+        keep_missing: accept pairs whose files are missing; ``missing_files`` lists these, and reading them is an error.
 
     Raises:
         InputError: a list is missing or malformed (the line is named), or files are missing.
@@ -63,12 +67,16 @@ class PairDataset(Dataset[Sample]):
         allow_missing: bool = False,
         depth_scale: float | None = None,
         domain: str | None = None,
+        max_depth: float | None = None,
+        root: str | Path | None = None,
+        keep_missing: bool = False,
     ) -> None:
         path = Path(path)
         folder = path if path.is_dir() else path.parent
-        defaults = Facts(depth_scale, domain).over(read_defaults(folder))
-        self._default_scale = defaults.depth_scale
+        defaults = Facts(depth_scale, domain, max_depth=max_depth).over(read_defaults(folder))
+        self._default_scale, self._max_depth = defaults.depth_scale, defaults.max_depth
         found = find_list(path, split) if path.is_dir() else path
+        self._root = folder if root is None else Path(root)
         if found is None and find_layout(path):
             self.path = path
             self.pairs = find_pairs(path, split=split, defaults=defaults, allow_missing=allow_missing)
@@ -77,16 +85,16 @@ class PairDataset(Dataset[Sample]):
             if not self.path.is_file():
                 columns = "image,depth,depth_scale,domain"
                 raise InputError(f"there is no {self.path}: give a CSV file with the columns {columns}")
-            self.pairs = read_list(self.path, defaults)
+            # Whoever names the list itself trusts it, and may have it anywhere.
+            self.pairs = read_list(self.path, defaults, root=self._root, anywhere=not path.is_dir())
         if not allow_missing and (bare := [pair.image for pair in self.pairs if pair.target is None]):
             raise InputError(
                 f"{self.path} lists {len(bare)} photos without depth, the first is {bare[0]}. Remove their lines"
             )
-        missing = [path for pair in self.pairs for path in pair.files if not _exists(path)]
-        if missing:
+        if not keep_missing and (missing := self.missing_files()):
             raise InputError(
                 f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}. Its paths are "
-                "relative to its own folder"
+                f"relative to {self._root}{'' if root else ', its own folder; --root names another'}"
             )
 
     def __len__(self) -> int:
@@ -100,15 +108,14 @@ class PairDataset(Dataset[Sample]):
             MissingExtraError: a format needs a library that is not installed.
         """
         pair = self.pairs[index]
-        folder = self.path if self.path.is_dir() else self.path.parent
         return to_sample(
             read_image(pair.image),
             None if pair.target is None else read_stored(pair.target),
             kind=pair.kind,
-            facts=Facts(pair.scale, pair.domain, pair.camera),
+            facts=Facts(pair.scale, pair.domain, pair.camera, pair.max_depth or self._max_depth),
             default_scale=self._default_scale,
             mask=None if pair.mask is None else read_mask(pair.mask),
-            name=str(pair.image.relative_to(folder)),
+            name=_name(pair.image, self._root),
             files=(pair.image, pair.target),
         )
 
@@ -121,6 +128,18 @@ class PairDataset(Dataset[Sample]):
     def kinds(self) -> list[Target]:
         """The kinds of target that occur."""
         return sorted({pair.kind for pair in self.pairs})
+
+    def missing_files(self) -> list[Path]:
+        """List the files of all pairs that do not exist."""
+        return [path for pair in self.pairs for path in pair.files if not _exists(path)]
+
+
+def _name(photo: Path, root: Path) -> str:
+    """Return the path of a photo below the root; all of its path, without the first slash, where it is elsewhere."""
+    if photo.is_relative_to(root) and ".." not in (name := photo.relative_to(root)).parts:
+        return str(name)
+    photo = Path(os.path.abspath(photo))
+    return str(photo.relative_to(photo.anchor))
 
 
 def _exists(path: Path) -> bool:

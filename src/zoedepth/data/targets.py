@@ -25,22 +25,23 @@ def to_sample(
 ) -> Sample:
     """Make a sample of a photo and what is stored about it.
 
-    The unit of depth is the first of ``facts.depth_scale``, what the file says, and ``default_scale``; without any,
-    floating point is metres. Values that are not finite or not positive are unknown.
+    The unit of depth is the first of ``facts.depth_scale``, what the file says, and, for whole numbers,
+    ``default_scale``; floating point is metres otherwise. Values that are not finite or not positive are unknown, and
+    so is depth of ``facts.max_depth`` or more.
 
     Args:
         photo: uint8 (height, width, 3).
         stored: the map, of the size of the photo; None where nothing is known.
         kind: "depth" or "disparity".
         facts: the facts about this photo.
-        default_scale: the stored value of one metre for files of which nobody says it.
+        default_scale: the stored value of one metre for files of whole numbers of which nobody says it.
         mask: False where the target is not valid.
         mask_decides: disparity that is not positive is known, too, where the mask (if there is one) says so.
         name: the name of the sample.
         files: names of the photo and of the target for messages.
 
     Raises:
-        InputError: sizes differ, or nobody says the unit.
+        InputError: sizes differ, nobody says the unit, or depth has 8 bits a pixel.
     """
     size = photo.shape[:2]
     for what, found in (("", None if stored is None else stored.values), ("the mask of ", mask)):
@@ -50,9 +51,17 @@ def to_sample(
             )
     target = np.zeros(size, np.float32)
     if stored is not None:
-        scale = 1.0 if kind == "disparity" else facts.depth_scale or stored.scale or default_scale
+        if kind == "depth" and stored.values.dtype.itemsize < 2:
+            raise InputError(
+                f"{files[1]} has 8 bits a pixel: it is a picture of depth, not a depth map. Give one channel of 16 "
+                "bits or floating point"
+            )
+        default = default_scale if stored.values.dtype.kind != "f" else None  # a list of PNGs may have floats in it
+        scale = 1.0 if kind == "disparity" else facts.depth_scale or stored.scale or default
         target = _divided(stored.values, scale, files[1])
     known = np.isfinite(target) & (mask if mask is not None else target > 0)
+    if kind == "depth" and facts.max_depth is not None:
+        known &= target < facts.max_depth
     if not (mask_decides and kind == "disparity"):
         known &= target > 0
     return Sample(

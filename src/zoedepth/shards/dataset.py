@@ -52,6 +52,7 @@ class ShardDataset(Dataset[Sample]):
             last two. Without an index the headers are read once, which takes a second for some 10,000 samples.
         depth_scale: the stored value of one metre, for samples of which nobody says it.
         domain: scene type, for samples of which nobody says it.
+        max_depth: the metres from which on depth is unknown, for samples of which nobody says it.
         cache: the folder where shards from the web are kept; None takes ``cache_folder``.
 
     Raises:
@@ -64,10 +65,11 @@ class ShardDataset(Dataset[Sample]):
         *,
         depth_scale: float | None = None,
         domain: str | None = None,
+        max_depth: float | None = None,
         cache: Path | None = None,
     ) -> None:
         self.path = path
-        self._defaults = Facts(depth_scale, domain)
+        self._defaults = Facts(depth_scale, domain, max_depth=max_depth)
         self._url: str | None = None
         cache = cache or cache_folder()
         if str(path).startswith(("http://", "https://")):
@@ -153,6 +155,11 @@ class ShardDataset(Dataset[Sample]):
         numbers = np.arange(len(self))
         parts = [np.concatenate([numbers[self._starts[i] : self._starts[i + 1]] for i in part]) for part in windows]
         return np.concatenate([rng.permutation(part) for part in parts])
+
+    @property
+    def files(self) -> list[Path]:
+        """The shards, those from the web where they are kept, whether they are there or not."""
+        return [self._folder / shard.name for shard in self.index.shards]
 
     @property
     def domains(self) -> Sequence[str]:
