@@ -87,7 +87,7 @@ class TestJsonLines:
     )
     def test_malformed_line_is_an_error_that_names_file_and_line(self, folder: Path, bad: object):
         with pytest.raises(InputError, match=r"train\.jsonl, line 2"):
-            PairDataset(jsonl(folder, GOOD, bad, GOOD))
+            PairDataset(jsonl(folder, GOOD, bad, GOOD).parent)
 
     def test_name_that_no_file_can_have_is_a_missing_file(self, folder: Path):
         with pytest.raises(InputError, match="2 files that do not exist"):
@@ -118,7 +118,7 @@ class TestBTS:
         with pytest.raises(InputError, match="1 photos without depth"):
             PairDataset(path, depth_scale=256, domain="outdoor")
 
-    @pytest.mark.parametrize("line", ["photo.jpg", "../photo.jpg depth.png 1", "photo.jpg /a/../../depth.png 1"])
+    @pytest.mark.parametrize("line", ["photo.jpg", "a b c", "a photo.jpg or depth.png 1"])
     def test_malformed_line_is_an_error_that_names_file_and_line(self, folder: Path, line: str):
         with pytest.raises(InputError, match=r"gt\.txt, line 2"):
             PairDataset(bts(folder, f"photo.jpg depth.png 1\n{line}\n"), depth_scale=1000, domain="indoor")

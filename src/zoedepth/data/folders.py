@@ -1,10 +1,13 @@
 """Folders of pairs without a list: photos in one folder, depth in another, matched by their names."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path, PurePath
 
 from zoedepth.data.facts import DEFAULTS_FILE, Facts
 from zoedepth.data.lists import Pair, check_unit
+from zoedepth.data.names import composed
+from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds
 from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
 from zoedepth.stored import DEPTH_SUFFIXES
@@ -16,12 +19,56 @@ SPLITS = ("train", "val", "valid", "validation", "test")
 """Names of folders below the photos that are taken for splits."""
 
 
+class _Half:
+    """The files of the photos, or of the depth, by their names.
+
+    Args:
+        folder: where they are; linked folders are searched, too, and hidden files are left alone.
+        suffixes: suffixes (lower case) of the files that count.
+
+    Raises:
+        InputError: two files have one name.
+    """
+
+    def __init__(self, folder: Path, suffixes: frozenset[str]) -> None:
+        self.folder = folder
+        self.files: dict[str, Path] = {}
+        """Path without suffix, relative to the folder → file; sorted."""
+        self.others: dict[str, Path] = {}
+        """The same for files of other suffixes."""
+        for path in sorted(_walk(folder)):
+            stem = composed(path.relative_to(folder).with_suffix("").as_posix())
+            if path.suffix.lower() not in suffixes:
+                self.others[stem] = path
+                continue
+            if (twin := self.files.get(stem)) is not None:
+                why = (
+                    "the same name up to the suffix"
+                    if twin.with_suffix("") == path.with_suffix("")
+                    else "names that look the same, with accents stored in different ways (NFC, NFD)"
+                )
+                raise InputError(f"{path} and {twin} have {why}: remove one of them")
+            self.files[stem] = path
+
+
 def find_layout(folder: Path) -> tuple[Path, Path] | None:
-    """Return the folders of photos and of depth in a folder; None where it does not have both."""
-    for photos, depth in LAYOUTS:
-        if (folder / photos).is_dir() and (folder / depth).is_dir():
-            return folder / photos, folder / depth
-    return None
+    """Return the folders of photos and of depth in a folder; None where it does not have both.
+
+    Raises:
+        InputError: it has more than two of them, so that it is not clear which go together.
+    """
+    found = [
+        (folder / photos, folder / depth)
+        for photos, depth in LAYOUTS
+        if (folder / photos).is_dir() and (folder / depth).is_dir()
+    ]
+    if len(found) > 1:
+        names = sorted({path.name for layout in found for path in layout})
+        raise InputError(
+            f"{folder} has the folders {', '.join(names)}: it is not clear which of them go together. Leave one of "
+            "photos and one of depth there, or give a list"
+        )
+    return found[0] if found else None
 
 
 def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool = False) -> list[Pair]:
@@ -29,7 +76,8 @@ def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool
 
     ``images/a/0001.jpg`` goes with ``depth/a/0001.png``, or with ``depth/a/0001_depth.png``, which is the name that
     ``zoedepth predict`` gives it; with splits, ``images/train/…`` goes with ``depth/train/…``. A folder without splits
-    is the same for every split.
+    is the same for every split. Where the names are times that do not agree, as in TUM RGB-D, a photo goes with the
+    depth that is nearest in time (``zoedepth.data.stamps``), and what has no other half is left out.
 
     Args:
         folder: has one of ``LAYOUTS``.
@@ -38,8 +86,8 @@ def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool
         allow_missing: accept photos without depth.
 
     Raises:
-        InputError: the folder has no such layout or split, photos or depths lack their other half, or nobody says the
-            unit or the domain.
+        InputError: the folder has no such layout or split, photos or depths lack their other half, a name means two
+            files, or nobody says the unit or the domain.
     """
     layout = find_layout(folder)
     if layout is None:
@@ -48,48 +96,112 @@ def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool
     if splits := [name for name in SPLITS if (layout[0] / name).is_dir()]:
         if split not in splits:
             raise InputError(f"{layout[0]} has the splits {splits}, and not {split!r}: choose one of them")
+        _check_split(layout[0], splits)
         layout = (layout[0] / split, layout[1] / split)
     if not defaults.domain:
         raise InputError(f'{folder} needs a domain: write {{"domain": "indoor"}} into {folder / DEFAULTS_FILE}')
-    photos, depths = _by_stem(layout[0], IMAGE_SUFFIXES), _by_stem(layout[1], frozenset(DEPTH_SUFFIXES))
-    for stem in [stem for stem in depths if stem not in photos and stem.endswith("_depth")]:
-        depths.setdefault(stem.removesuffix("_depth"), depths.pop(stem))
-    _check_matched(layout, photos, depths, allow_missing=allow_missing)
+    photos, depths = _Half(layout[0], IMAGE_SUFFIXES), _Half(layout[1], frozenset(DEPTH_SUFFIXES))
+    _drop_endings(photos, depths)
+    if photos.files.keys() != depths.files.keys() and _are_times(photos) and _are_times(depths):
+        _match_times(photos, depths, allow_missing=allow_missing)
+    _check_matched(photos, depths, allow_missing=allow_missing)
     pairs = [
-        Pair(photo, depths.get(stem), "depth", None, defaults.domain, defaults.camera) for stem, photo in photos.items()
+        Pair(photo, depths.files.get(stem), "depth", None, defaults.domain, defaults.camera)
+        for stem, photo in photos.files.items()
     ]
     for pair in pairs:
         check_unit(pair, defaults, str(pair.target))
     return pairs
 
 
-def _check_matched(
-    layout: tuple[Path, Path], photos: dict[str, Path], depths: dict[str, Path], *, allow_missing: bool
-) -> None:
-    if not photos:
-        raise InputError(f"there are no photos in {layout[0]}")
-    bare = [] if allow_missing else [path for stem, path in photos.items() if stem not in depths]
-    alone = [path for stem, path in depths.items() if stem not in photos]
-    if bare or alone:
-        counts = [f"{len(bare)} photos without depth, the first is {bare[0]}"] if bare else []
-        counts += [f"{len(alone)} depths without photo, the first is {alone[0]}"] if alone else []
+def _check_split(photos: Path, splits: list[str]) -> None:
+    """Refuse photos that no split has: they would be left out without a word."""
+    for path in sorted(photos.iterdir()):
+        if path.name in splits or path.name.startswith("."):
+            continue
+        if path.is_dir() or path.suffix.lower() in IMAGE_SUFFIXES:
+            raise InputError(
+                f"{photos} has the splits {splits}, and {path.name} in none of them. Move it into one, or elsewhere"
+            )
+
+
+def _drop_endings(photos: _Half, depths: _Half) -> None:
+    """Name depth as ``zoedepth predict`` writes it, 0001_depth.png, after its photo, 0001."""
+    for stem in [stem for stem in depths.files if stem not in photos.files and stem.endswith("_depth")]:
+        plain = stem.removesuffix("_depth")
+        if plain in depths.files:
+            raise InputError(
+                f"{depths.files[plain]} and {depths.files[stem]} may both be the depth of {plain}: remove one of them"
+            )
+        depths.files[plain] = depths.files.pop(stem)
+
+
+def _are_times(half: _Half) -> bool:
+    return bool(half.files) and all(seconds(PurePath(stem).name) is not None for stem in half.files)
+
+
+def _match_times(photos: _Half, depths: _Half, *, allow_missing: bool) -> None:
+    """Give each depth map the name of the photo of its time, and leave out what has no other half."""
+    found: dict[str, Path] = {}
+    folders = {PurePath(stem).parent for stem in photos.files}
+    for folder in sorted(folders):  # each may be a recording of its own
+        (stems, times), (others, other_times) = (_times(half, folder) for half in (photos, depths))
+        found |= {stems[i]: depths.files[others[j]] for i, j in pair_by_time(times, other_times)}
+    if not found:
         raise InputError(
-            f"{layout[0]} and {layout[1]} have {', and '.join(counts)}. Names must agree up to the suffix: rename, add "
-            "or remove these files"
+            f"the names in {photos.folder} and {depths.folder} are times, and no two are within {TOLERANCE} s of each "
+            "other. Write a list of the pairs"
+        )
+    depths.files = found
+    if not allow_missing:
+        photos.files = {stem: path for stem, path in photos.files.items() if stem in found}
+
+
+def _times(half: _Half, folder: PurePath) -> tuple[list[str], list[float]]:
+    stems = [stem for stem in half.files if PurePath(stem).parent == folder]
+    return stems, [seconds(PurePath(stem).name) or 0.0 for stem in stems]
+
+
+def _check_matched(photos: _Half, depths: _Half, *, allow_missing: bool) -> None:
+    if not photos.files:
+        others = f", but {next(iter(photos.others.values())).name} and others" if photos.others else ""
+        raise InputError(
+            f"there are no photos in {photos.folder}{others}. Photos are {', '.join(sorted(IMAGE_SUFFIXES))}"
+        )
+    bare = [stem for stem in photos.files if stem not in depths.files]
+    alone = [stem for stem in depths.files if stem not in photos.files]
+    for stem in bare:
+        if stem in depths.others:
+            raise InputError(
+                f"{depths.others[stem]} cannot hold the depth of {photos.files[stem]}. It must be one of "
+                f"{', '.join(DEPTH_SUFFIXES)}"
+            )
+    for stem in alone:
+        if stem in photos.others:
+            raise InputError(
+                f"{photos.others[stem]}, the photo of {depths.files[stem]}, is of a format that is not read. Convert "
+                "it to PNG or JPEG"
+            )
+    if allow_missing:
+        bare = []
+    if bare or alone:
+        counts = [f"{len(bare)} photos without depth, the first is {photos.files[bare[0]]}"] if bare else []
+        counts += [f"{len(alone)} depths without photo, the first is {depths.files[alone[0]]}"] if alone else []
+        raise InputError(
+            f"{photos.folder} and {depths.folder} have {', and '.join(counts)}. Names must agree up to the suffix: "
+            "rename, add or remove these files"
         )
 
 
-def _by_stem(folder: Path, suffixes: frozenset[str]) -> dict[str, Path]:
-    """Map path without suffix, relative to the folder, to file; sorted. Hidden files are ignored."""
-    found: dict[str, Path] = {}
-    for parent, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        for name in names:
-            if name.startswith(".") or PurePath(name).suffix.lower() not in suffixes:
-                continue
-            path = Path(parent, name)
-            stem = path.relative_to(folder).with_suffix("").as_posix()
-            if stem in found:
-                raise InputError(f"{path} and {found[stem]} have the same name up to the suffix: remove one of them")
-            found[stem] = path
-    return dict(sorted(found.items()))
+def _walk(folder: Path) -> Iterator[Path]:
+    """Yield the files below a folder, hidden ones left out; a link that leads back above itself is not followed."""
+    for parent, folders, names in os.walk(folder, followlinks=True):
+        above = os.path.realpath(parent)
+        folders[:] = [
+            name for name in folders if not name.startswith(".") and not _leads_above(os.path.join(parent, name), above)
+        ]
+        yield from (Path(parent, name) for name in names if not name.startswith("."))
+
+
+def _leads_above(path: str, above: str) -> bool:
+    return os.path.islink(path) and os.path.commonpath([real := os.path.realpath(path), above]) == real
