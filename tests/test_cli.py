@@ -1,15 +1,22 @@
 """The command line: help, exit codes, and errors in one line instead of a traceback."""
 
+import errno
+import io
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from rich.console import Console
+from rich.table import Table
 
 import zoedepth
 from zoedepth import cli
 from zoedepth.cli import COMMANDS, Command, main
+from zoedepth.commands.data import SUBCOMMANDS
 from zoedepth.errors import InputError, MissingExtraError, TrainingError
 
 
@@ -33,34 +40,62 @@ def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
     assert zoedepth.__version__ in capsys.readouterr().out
 
 
-def test_unknown_command_is_an_error_that_names_it_and_lists_the_known(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["pedict", "photo.jpg"]) == 2
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["predct", "photo.jpg"], "predict"),
+        (["eval"], "evaluate"),
+        (["demo_train"], "demo-train"),
+        (["data", "lst"], "data list"),
+        (["data", "check", "nyuu", "folder"], "nyu"),
+        (["data", "check", "--shet", "a.jpg", "x"], "--sheet"),
+        (["train", "zoed-lite", "--data", "x", "--out", "o"], "zoed_lite"),
+        (["train", "fintune"], "finetune"),
+        (["train", "finetune", "--data", "x", "--out", "o", "--lr", "1"], "--learning-rate"),
+        (["train", "demo", "--data", "x", "--out", "o", "--config.optim.lr", "1"], "--config.optim.learning-rate"),
+        (["train", "demo", "--config.optm.learning-rte=1"], "--config.optim.learning-rate"),
+        (["predict", "photo.jpg", "--ot", "folder"], "--out"),
+        (["predict", "photo.jpg", "--png_scal", "256"], "--png-scale"),
+    ],
+)
+def test_a_slip_gets_the_right_word_in_one_line(
+    words: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
     output = capsys.readouterr()
-    assert "'pedict'" in output.err
-    assert all(name in output.err for name in COMMANDS)
+    assert f"did you mean {meant}?" in output.err
+    assert len(output.err.splitlines()) == 1
     assert output.out == ""
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "train"])
-def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main([name, "--help"])
-    assert stopped.value.code == 0
-    assert f"zoedepth {name}" in capsys.readouterr().out
+def test_a_command_that_looks_like_none_gets_them_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["qqq"]) == 2
+    said = capsys.readouterr().err
+    assert all(name in said for name in COMMANDS)
 
 
-NEEDED = {"convert": ["model", "target", "--to", "zoedepth"], "push": ["model", "owner/name"],
-          "export": ["model", "--to", "onnx"]}  # fmt: skip
-"""What a command is refused without before its flags are looked at."""
+HELPS = [[name] for name in COMMANDS] + [["data", name] for name in SUBCOMMANDS] + [["train", "finetune"]]
 
 
-@pytest.mark.parametrize("name", [name for name in COMMANDS if name != "train"])
-def test_unknown_flag_is_an_error_that_names_it(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main([name, *NEEDED.get(name, []), "--no-such-flag", "1"])
-    assert stopped.value.code == 2
-    output = capsys.readouterr()
-    assert "--no-such-flag" in output.out + output.err
+@pytest.mark.parametrize("columns", [60, 200])
+@pytest.mark.parametrize("words", HELPS, ids=" ".join)
+def test_help_fits_the_terminal_and_has_no_line_beyond_100_columns(
+    words: list[str], columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    with suppress(SystemExit):
+        assert main([*words, "--help"]) == 0
+    output = capsys.readouterr().out
+    assert f"zoedepth {' '.join(words)}" in output
+    widest = max(map(len, output.splitlines()))
+    assert widest <= (100 if columns == 200 or words in (["data"], ["train"]) else columns)
+    assert "STR" not in output.partition("options")[0], "words that only programmers know, in the usage line"
+
+
+def test_unknown_flag_is_an_error_that_names_it(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in set(COMMANDS) - {"train", "data"}:
+        assert main([name, "--no-such-flag", "1"]) == 2
+        assert "--no-such-flag" in capsys.readouterr().err
 
 
 @pytest.fixture
@@ -71,7 +106,7 @@ def failing(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], None]:
         def fail(arguments: Sequence[str]) -> int:
             raise error
 
-        monkeypatch.setitem(cli.COMMANDS, "fail", Command("fails", lambda: fail))
+        monkeypatch.setitem(cli.COMMANDS, "fail", Command("fails", lambda: fail, reads_itself=True))
 
     return add
 
@@ -104,15 +139,97 @@ def test_interruption_has_its_own_exit_code(
     assert "interrupted" in capsys.readouterr().err
 
 
+def test_what_the_system_refuses_is_one_line(
+    failing: Callable[[BaseException], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for error, said in (
+        (OSError(errno.ENOSPC, "No space left on device"), "No space left on device: make room"),
+        (PermissionError(errno.EACCES, "Permission denied", "/root/a.json"), "/root/a.json: Permission denied"),
+        (OSError(errno.EROFS, "Read-only file system", b"/mnt/\xe4"), "Read-only file system: write to another"),
+        (IsADirectoryError(errno.EISDIR, "Is a directory", "photos"), "photos: Is a directory"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "a" * 300), "give a shorter name"),
+        (OSError("of a library\nin two lines"), "of a library in two lines"),
+        (MemoryError(), "memory"),
+        (RuntimeError("CUDA out of memory. Tried to allocate 2 GiB"), "memory"),
+        (ModuleNotFoundError("No module named 'tensorboard'", name="tensorboard.compat"), "zoedepth[train]"),
+    ):
+        failing(error)
+        assert main(["fail"]) == 2
+        output = capsys.readouterr()
+        assert output.err.startswith("zoedepth fail: ")
+        assert said in output.err
+        assert len(output.err.splitlines()) == 1
+        assert output.out == ""
+
+
+def test_closed_pipe_ends_without_a_word(
+    failing: Callable[[BaseException], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    failing(BrokenPipeError(errno.EPIPE, "Broken pipe"))
+    assert main(["fail"]) == 141
+    stop = SystemExit(1)
+    stop.__context__ = BrokenPipeError()  # what rich makes of it
+    failing(stop)
+    assert main(["fail"]) == 141
+    assert capsys.readouterr().err == ""
+
+
+def test_what_is_left_in_a_buffer_is_noticed_before_python_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Full(io.StringIO):
+        def flush(self) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    assert main(["--version"]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "utf-8"])
+@pytest.mark.parametrize("errors", ["strict", "surrogateescape"])
+def test_letters_that_a_code_page_does_not_have_become_escapes(
+    encoding: str, errors: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding=encoding, errors=errors))
+
+    def show(words: Sequence[str]) -> int:
+        print("客厅 † caf\udce9")
+        Console().print(Table("客", "k\udce9"))
+        return 0
+
+    monkeypatch.setitem(cli.COMMANDS, "show", Command("", lambda: show, reads_itself=True))
+    assert main(["show"]) == 0
+    text = written.getvalue()
+    assert (b"\\u5ba2" if encoding != "utf-8" else "客".encode()) in text
+    assert (b"caf\xe9" if (encoding, errors) == ("utf-8", "surrogateescape") else b"caf\\udce9") in text
+
+
+def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def warn(words: Sequence[str]) -> int:
+        sys.stderr.write(warnings.formatwarning("the photo\nis dark", UserWarning, "file.py", 3))
+        return 0
+
+    before = warnings.formatwarning
+    monkeypatch.setitem(cli.COMMANDS, "warn", Command("", lambda: warn, reads_itself=True))
+    assert main(["warn"]) == 0
+    assert capsys.readouterr().err == "zoedepth warn: warning: the photo is dark\n"
+    assert warnings.formatwarning is before
+
+
 def test_bugs_are_not_hidden(failing: Callable[[BaseException], None]) -> None:
-    failing(ZeroDivisionError())
-    with pytest.raises(ZeroDivisionError):
-        main(["fail"])
+    for bug in (ZeroDivisionError, RuntimeError, ModuleNotFoundError):
+        failing(bug("a bug"))
+        with pytest.raises(bug):
+            main(["fail"])
 
 
 def test_what_a_command_returns_is_the_exit_code(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[Sequence[str]] = []
-    monkeypatch.setitem(cli.COMMANDS, "one", Command("", lambda: lambda rest: seen.append(rest) or 1))
+    monkeypatch.setitem(
+        cli.COMMANDS, "one", Command("", lambda: lambda rest: seen.append(rest) or 1, reads_itself=True)
+    )
     assert main(["one", "a", "--b"]) == 1
     assert seen == [["a", "--b"]]
 

@@ -1,10 +1,43 @@
-"""The command line: ``COMMANDS`` lists every command. The options of one are the arguments of its function."""
+"""The command line: ``COMMANDS`` lists every command. The options of one are the arguments of its function.
 
+Here every error becomes one line and an exit code, and what cannot be written in the terminal's letters is written in
+others. Bugs are shown as they are.
+"""
+
+import errno
+import os
+import re
 import sys
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from io import TextIOWrapper
 
-from zoedepth.errors import ZoeDepthError
+from zoedepth.errors import OPTIONAL, MissingExtraError, ZoeDepthError, no_such
+
+WRONG, INTERRUPTED, NOBODY_READS = 2, 130, 141
+"""Exit codes. The last two are 128 and the number of the signal, as shells count: Ctrl-C, and ``| head``."""
+
+_OTHER_PLACE = ("make room, or write to another place",)
+_WHAT_TO_DO = {
+    errno.ENOSPC: _OTHER_PLACE,
+    errno.EDQUOT: _OTHER_PLACE,
+    errno.EFBIG: _OTHER_PLACE,
+    errno.EROFS: ("write to another place",),
+    errno.EACCES: ("ask for the right to it, or choose another place",),
+    errno.EPERM: ("ask for the right to it, or choose another place",),
+    errno.ENOENT: ("check the path",),
+    errno.ENOTDIR: ("a part of the path is a file: check the path",),
+    errno.EISDIR: ("give a file, not a folder",),
+    errno.EEXIST: ("give another name",),
+    errno.ENAMETOOLONG: ("give a shorter name",),
+    errno.EMFILE: ("allow more open files (ulimit -n), or give fewer --workers",),
+    errno.EIO: ("the disk or the network drive fails: copy the data to another one",),
+}
+_NO_MEMORY = re.compile(r"out of memory|can't allocate memory")
+
+Function = Callable[..., int]
 
 
 @dataclass(frozen=True)
@@ -12,76 +45,86 @@ class Command:
     """A command: its line in the help, and how to import its function, which happens when the command is called."""
 
     help: str
-    load: Callable[[], Callable[[Sequence[str]], int]]
+    load: Callable[[], Function]
+    common: tuple[str, ...] = ()
+    """Options that the help shows first; empty: there are few."""
+    reads_itself: bool = False
+    """The function reads the words of the command line, because it has commands of its own."""
 
 
-def _demo() -> Callable[[Sequence[str]], int]:
+def _demo() -> Function:
     from zoedepth.commands.demo import demo
 
-    return _with_options(demo)
+    return demo
 
 
-def _predict() -> Callable[[Sequence[str]], int]:
+def _predict() -> Function:
     from zoedepth.commands.predict import predict
 
-    return _with_options(predict)
+    return predict
 
 
-def _evaluate() -> Callable[[Sequence[str]], int]:
+def _evaluate() -> Function:
     from zoedepth.commands.evaluate import evaluate
 
-    return _with_options(evaluate)
+    return evaluate
 
 
-def _train() -> Callable[[Sequence[str]], int]:
+def _train() -> Function:
     from zoedepth.commands.train import train
 
     return train
 
 
-def _data() -> Callable[[Sequence[str]], int]:
+def _data() -> Function:
     from zoedepth.commands.data import data
 
     return data
 
 
-def _demo_train() -> Callable[[Sequence[str]], int]:
+def _demo_train() -> Function:
     from zoedepth.commands.demo_train import demo_train
 
-    return _with_options(demo_train)
+    return demo_train
 
 
-def _models() -> Callable[[Sequence[str]], int]:
+def _models() -> Function:
     from zoedepth.commands.models import models
 
-    return _with_options(models)
+    return models
 
 
-def _convert() -> Callable[[Sequence[str]], int]:
+def _convert() -> Function:
     from zoedepth.commands.convert import convert
 
-    return _with_options(convert)
+    return convert
 
 
-def _export() -> Callable[[Sequence[str]], int]:
+def _export() -> Function:
     from zoedepth.commands.export import export
 
-    return _with_options(export)
+    return export
 
 
-def _push() -> Callable[[Sequence[str]], int]:
+def _push() -> Function:
     from zoedepth.commands.convert import push
 
-    return _with_options(push)
+    return push
 
 
 COMMANDS = {
     "demo": Command("show the depth of three photographs, with the error where the depth was measured", _demo),
     "demo-train": Command("train a tiny model in both stages on rendered scenes", _demo_train),
-    "predict": Command("write the depth in metres of photos, folders or globs", _predict),
-    "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train),
-    "evaluate": Command("score models on photos with known depth, as the paper does", _evaluate),
-    "data": Command("list the published data sets, check a download, write shards", _data),
+    "predict": Command(
+        "write the depth in metres of photos, folders or globs", _predict, ("out", "model", "save", "domain", "device")
+    ),
+    "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train, reads_itself=True),
+    "evaluate": Command(
+        "score models on photos with known depth, as the paper does",
+        _evaluate,
+        ("data", "model", "predictions", "out", "with_paper", "json_", "device"),
+    ),
+    "data": Command("list the published data sets, check a download, write shards", _data, reads_itself=True),
     "models": Command("list the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
     "export": Command("write a model for other programs: ONNX, OpenVINO, torch.export", _export),
@@ -90,11 +133,50 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 0 done, 1 some files failed, 2 wrong input, 130 interrupted."""
+    """Run a command and return its exit code: 0 done, 1 some files failed, 2 wrong input, 130 interrupted.
+
+    141: whoever read our output has stopped reading, as ``| head`` does.
+    """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    name = " ".join(["zoedepth", *(word for word in arguments[:1] if word in COMMANDS)])
+    for stream in (sys.stdout, sys.stderr):
+        _accept_all_letters(stream)
+    try:
+        with _warnings_in_one_line(name):
+            code = _run(arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # a full disk or a closed pipe is noticed here, and not while Python ends
+        return code
+    except ZoeDepthError as error:
+        return _stop(WRONG, f"{name}: {error}")
+    except KeyboardInterrupt as interrupt:
+        return _stop(INTERRUPTED, ": ".join(filter(None, (f"{name}: interrupted", str(interrupt)))))
+    except ModuleNotFoundError as error:
+        module = (error.name or "").partition(".")[0]
+        if module not in OPTIONAL:
+            raise
+        return _stop(
+            WRONG, f"{name}: {MissingExtraError(OPTIONAL[module], f'{module} is not installed: what you ask for')}"
+        )
+    except BrokenPipeError:
+        return _stop(NOBODY_READS)
+    except SystemExit as stop:  # tyro has shown the help, or said what is wrong; or rich has met a closed pipe
+        if isinstance(stop.__context__, BrokenPipeError):
+            return _stop(NOBODY_READS)
+        _stop(0)
+        raise
+    except OSError as error:
+        return _stop(WRONG, f"{name}: {_describe(error)}")
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and not _NO_MEMORY.search(str(error)):
+            raise
+        return _stop(WRONG, f"{name}: the memory is too small: give smaller photos, fewer --workers or a smaller batch")
+
+
+def _run(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_help())
-        return 0 if arguments else 2
+        print(_help(), file=sys.stdout if arguments else sys.stderr)
+        return 0 if arguments else WRONG
     if arguments[0] == "--version":
         from zoedepth import __version__
 
@@ -102,28 +184,58 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     name, *rest = arguments
     if name not in COMMANDS:
-        print(f"zoedepth: there is no command {name!r}\n\n{_help()}", file=sys.stderr)
-        return 2
+        raise no_such("command", name, COMMANDS)
+    command = COMMANDS[name]
+    function = command.load()
+    if command.reads_itself:
+        return function(rest)
+    from zoedepth.commands.options import call
+
+    return call(function, rest, prog=f"zoedepth {name}", common=command.common)
+
+
+def _accept_all_letters(stream: object) -> None:
+    """Let a stream write letters that its code page does not have: as escapes, e.g. \\u5ba2 in Windows' cp1252."""
+    if isinstance(stream, TextIOWrapper) and (stream.errors == "strict" or stream.encoding.lower() != "utf-8"):
+        stream.reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def _warnings_in_one_line(name: str) -> Iterator[None]:
+    """Print warnings without the line of code that they come from."""
+    before = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"{name}: warning: {_one_line(str(message))}\n"
     try:
-        return COMMANDS[name].load()(rest)
-    except ZoeDepthError as error:
-        print(f"zoedepth {name}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt as interrupt:
-        print(": ".join(filter(None, (f"zoedepth {name}: interrupted", str(interrupt)))), file=sys.stderr)
-        return 130
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
-def _with_options(function: Callable[..., int]) -> Callable[[Sequence[str]], int]:
-    """Return a function that reads the options of ``function`` from the command line and calls it."""
+def _describe(error: OSError) -> str:
+    """Return what happened to which file, and what to do."""
+    names = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
+    what = [" and ".join(names)] if names else []
+    return ": ".join(
+        [*what, error.strerror or str(error) or type(error).__name__, *_WHAT_TO_DO.get(error.errno or 0, ())]
+    )
 
-    def run(arguments: Sequence[str]) -> int:
-        import tyro
 
-        prog = f"zoedepth {function.__name__.replace('_', '-')}"
-        return tyro.cli(function, args=list(arguments), prog=prog)
+def _one_line(text: str) -> str:
+    return re.sub(r"\s*\n\s*", " ", text.strip())
 
-    return run
+
+def _stop(code: int, message: str = "") -> int:
+    """Print why the command ends, and return its exit code."""
+    if message and sys.stderr is not None:
+        with suppress(OSError):
+            print(_one_line(message), file=sys.stderr)
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:  # nobody reads, or the disk is full: what is left goes nowhere, or Python complains at its end
+            with suppress(OSError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return code
 
 
 def _help() -> str:

@@ -227,11 +227,19 @@ def test_wrong_recipe_data_and_start_are_errors_in_one_line(
     [
         ["--no-such-flag", "1"],
         ["--config.no-such-field", "1"],
-        ["--config.steps", "many"],
-        ["--config.stage", "both"],
     ],
 )
-def test_unknown_flags_and_values_are_errors_that_name_them(
+def test_unknown_flags_are_errors_that_name_them(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    tiny_recipe("metric")
+    assert main(["train", "tiny", "--data", "a=b", "--out", str(tmp_path / "out"), *arguments]) == 2
+    assert arguments[0] in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("arguments", [["--config.steps", "many"], ["--config.stage", "both"]])
+def test_wrong_values_are_errors_that_name_them(
     tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str]
 ) -> None:
     tiny_recipe("metric")

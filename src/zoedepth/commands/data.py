@@ -2,6 +2,8 @@
 
 import json
 import re
+import sys
+import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -9,14 +11,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from zoedepth.commands.options import WIDTH, call
 from zoedepth.commands.shard import shard
-from zoedepth.errors import InputError
+from zoedepth.commands.writable import check_writable
+from zoedepth.errors import InputError, no_such
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from zoedepth.checking import Report
-    from zoedepth.data.pairs import PairDataset
+    from zoedepth.data.sample import DepthDataset
     from zoedepth.datasets.published import About, PublishedDataset
 
 EXIT_NOT_IN_ORDER = 1
@@ -25,8 +29,26 @@ _MOST_NAMED = 10
 
 
 def data(arguments: Sequence[str]) -> int:
-    """Run a sub-command of ``SUBCOMMANDS``."""
-    return tyro.extras.subcommand_cli_from_dict(SUBCOMMANDS, args=list(arguments), prog="zoedepth data")
+    """Run a command of ``SUBCOMMANDS``."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(_usage(), file=sys.stdout if arguments else sys.stderr)
+        return 0 if arguments else 2
+    name, *rest = arguments
+    if name not in SUBCOMMANDS:
+        raise no_such("command", f"data {name}", [f"data {known}" for known in SUBCOMMANDS])
+    return call(SUBCOMMANDS[name], rest, prog=f"zoedepth data {name}")
+
+
+def _usage() -> str:
+    first = {name: (function.__doc__ or "").partition("\n")[0] for name, function in SUBCOMMANDS.items()}
+    lines = [textwrap.fill(f"  {name:<7}{text}", WIDTH, subsequent_indent=" " * 9) for name, text in first.items()]
+    return "\n".join([
+        "usage: zoedepth data COMMAND [OPTIONS]     (zoedepth data COMMAND --help for the options)",
+        "",
+        "Photos with depth: what can be read, whether a download is in order, and shards.",
+        "",
+        *lines,
+    ])  # fmt: skip
 
 
 def list_(*, markdown: bool = False, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int:
@@ -67,41 +89,52 @@ def check(
     split: str | None = None,
     sheet: Path | None = None,
     every: bool = False,
+    depth_scale: float | None = None,
+    domain: str | None = None,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
-    """Check that a download is complete and readable, and that its depth is in the right unit.
+    """Check that data is complete and readable, and that its depth is in the right unit.
 
-    Reports counts, missing and unreadable files, sizes and the range of depth, and draws a picture to look at. Exit
-    codes: 0 in order, 1 not in order (it says why), 2 another folder altogether.
+    Looks at every file, reads 50 pairs, reports counts, missing and unreadable files, sizes and the range of depth, and
+    draws a picture to look at. Exit codes: 0 in order, 1 not in order (it says why), 2 another folder altogether.
 
     Args:
-        what: a name from `zoedepth data list`, followed by its folder; or a list or folder of your own pairs.
+        what: a name from `zoedepth data list`, followed by its folder; or data of your own in any form, see
+            docs/your-data.md: a list, a folder, shards, hf:OWNER/NAME.
         folder: the folder of the published data set.
         split: a split of the data set, or the list in your own folder; None takes the first, which is train if there is
             one.
         sheet: write a picture of some pairs to this .jpg, .png or .webp.
         every: read every pair instead of 50.
+        depth_scale: the stored value of one metre, where the data does not say it.
+        domain: scene type, where the data does not say it.
         json_: print one JSON object, and nothing else.
     """
     from rich.console import Console
     from rich.progress import track
 
-    from zoedepth.checking import check as check_pairs
+    from zoedepth.checking import check as check_data
     from zoedepth.checking import contact_sheet
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
+    from zoedepth.train.log import Ticker
 
     if sheet is not None and sheet.suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError(f"--sheet {sheet}: the name must end in one of {', '.join(PICTURE_SUFFIXES)}")
-    dataset = _open_published(what, folder, split) if folder is not None else _open_pairs(what, split)
+    if sheet is not None:
+        check_writable(sheet.parent, option="--sheet")
+    if folder is not None:
+        dataset = _open_published(what, folder, split)
+    else:
+        dataset = _open_own(what, split, depth_scale=depth_scale, domain=domain)
     about = dataset.about if isinstance(dataset, PublishedDataset) else None
     console = Console(stderr=True, highlight=False)
 
     def progress(indices: Sequence[int]) -> Iterator[int]:
         return iter(track(indices, "reading", console=console, transient=True, disable=not console.is_terminal))
 
-    report = check_pairs(dataset, every=every, track=progress)
-    path = str(dataset.root if isinstance(dataset, PublishedDataset) else dataset.path)
+    report = check_data(dataset, every=every, track=progress, looking=Ticker("looking at files", console.print))
+    path = str(dataset.root if isinstance(dataset, PublishedDataset) else getattr(dataset, "path", what))
     used = dataset.split if isinstance(dataset, PublishedDataset) else None
     if json_:
         print(json.dumps(_record(report, about, path=path, split=used)))
@@ -150,18 +183,20 @@ def _open_published(name: str, folder: Path, split: str | None) -> "PublishedDat
     from zoedepth.datasets import DATASETS
 
     if name not in DATASETS:
-        raise InputError(f"there is no published data set {name!r}; there are {', '.join(DATASETS)}")
+        raise no_such("published data set", name, DATASETS, see="zoedepth data list")
     dataset = DATASETS[name]
     return dataset(folder, split=split or next(iter(dataset.about.splits)), allow_missing=True)
 
 
-def _open_pairs(path: str, split: str | None) -> "PairDataset":
-    from zoedepth.data.pairs import PairDataset
+def _open_own(source: str, split: str | None, *, depth_scale: float | None, domain: str | None) -> "DepthDataset":
     from zoedepth.datasets import DATASETS
+    from zoedepth.opening import open_dataset
 
-    if path in DATASETS and not Path(path).exists():
-        raise InputError(f"say where {path} is: zoedepth data check {path} FOLDER")
-    return PairDataset(path, split=split or "train", allow_missing=True)
+    if source in DATASETS and not Path(source).exists():
+        raise InputError(f"say where {source} is: zoedepth data check {source} FOLDER")
+    return open_dataset(
+        source, split=split or "train", allow_missing=True, keep_missing=True, depth_scale=depth_scale, domain=domain
+    )
 
 
 def _print(report: "Report", about: "About | None", *, path: str, split: str | None) -> None:
@@ -179,15 +214,21 @@ def _print(report: "Report", about: "About | None", *, path: str, split: str | N
     for file in report.missing[:_MOST_NAMED]:
         _say(console, f"missing: {file}")
     if len(report.missing) > _MOST_NAMED:
-        _say(console, f"missing: and {len(report.missing) - _MOST_NAMED:,} more")
+        _say(console, f"missing: and {len(report.missing) - _MOST_NAMED:,} more, which --json lists")
     for problem in report.unreadable:
         _say(console, f"unreadable: {problem}")
     for name in report.empty[:_MOST_NAMED]:
         _say(console, f"nothing known: {name}")
+    for problem in report.implausible:
+        _say(console, f"implausible: {problem}")
+    for note in report.notes:
+        _say(console, f"look at this: {note}")
     if not report.problems:
         _say(console, "In order.")
         return
-    _say(console, f"Not in order: {'; '.join(report.problems)}.")
+    counts = [problem for problem in report.problems if problem not in report.implausible]
+    wrong = counts + (["its depth is not plausible"] if report.implausible else [])
+    _say(console, f"Not in order: {'; '.join(wrong)}.")
     if about:
         _say(console, f"Get it at {about.page}")
 
@@ -233,7 +274,7 @@ def _record(report: "Report", about: "About | None", *, path: str, split: str | 
         "published": report.n_expected,
         "without_truth": report.n_without_truth,
         "missing": len(report.missing),
-        "first_missing": [str(file) for file in report.missing[:_MOST_NAMED]],
+        "missing_files": [str(file) for file in report.missing],
         "read": len(report.readable),
         "unreadable": list(report.unreadable),
         "photo_sizes": [{"height": h, "width": w, "photos": n} for (h, w), n in report.photo_sizes.items()],
@@ -241,6 +282,7 @@ def _record(report: "Report", about: "About | None", *, path: str, split: str | 
         "known": report.known,
         "nothing_known": list(report.empty),
         "cameras": report.n_cameras,
+        "notes": report.notes,
         "problems": report.problems,
     }
 

@@ -2,6 +2,8 @@
 
 import argparse
 import os
+import sys
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,8 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.data import named_sources
+from zoedepth.commands.options import WIDTH, read
 from zoedepth.config import BaselineConfig
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, no_such
 from zoedepth.presets import with_encoder, with_head
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import FinetuneOptions, TrainConfig
@@ -26,7 +29,7 @@ if TYPE_CHECKING:
 class TrainOptions:
     """Train a recipe on data sets; an unfinished run in --out goes on."""
 
-    data: tuple[str, ...]
+    data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SOURCE...")]
     """NAME=SOURCE of each data set: NAME is a source of the recipe; SOURCE is a list, a folder, shards, a published
     data set's folder, hf:OWNER/NAME or synthetic:all (docs/your-data.md)."""
     out: Path
@@ -56,7 +59,7 @@ class _FinetuneCommand:
     of its own. Scattered depth, such as lidar's, is fine. Type the same command again to go on after an interruption.
     """
 
-    data: tuple[str, ...]
+    data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SOURCE...")]
     """SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself."""
@@ -68,26 +71,28 @@ class _FinetuneCommand:
 
 
 _USAGE = f"""usage: zoedepth train finetune --data SOURCE --out DIR     your own photos with depth
-       zoedepth train RECIPE --data NAME=SOURCE ... --out DIR [--init WEIGHTS] [--head HEAD] [--encoder ENCODER]
-                      [--config.FIELD VALUE]
+       zoedepth train RECIPE --data NAME=SOURCE ... --out DIR [--init WEIGHTS] [--head HEAD]
+                      [--encoder ENCODER] [--config.FIELD VALUE]
 
-recipes: {", ".join(RECIPES)}     (zoedepth train RECIPE --help for all fields)"""
+zoedepth train finetune --help and zoedepth train RECIPE --help show all options. The recipes:
+
+{textwrap.fill(", ".join(RECIPES), WIDTH, break_on_hyphens=False)}"""
 
 
 def train(arguments: Sequence[str]) -> int:
     """Train a recipe, or go on with the run in --out."""
     if not arguments or arguments[0] in ("-h", "--help"):
-        print(_USAGE)
+        print(_USAGE, file=sys.stdout if arguments else sys.stderr)
         return 0 if arguments else 2
     name, *rest = arguments
     if name == "finetune":
-        return finetune(tyro.cli(_FinetuneCommand, args=rest, prog="zoedepth train finetune"))
+        return finetune(read(_FinetuneCommand, rest, prog="zoedepth train finetune", config=(tyro.conf.DisallowNone,)))
     if name not in RECIPES:
-        raise InputError(f"there is no recipe {name!r}; choose one of {sorted(RECIPES)}")
+        raise no_such("recipe", name, ["finetune", *RECIPES], see="zoedepth train --help")
     config = _with_parts(RECIPES[name](), rest)
-    options = tyro.cli(
+    options = read(
         TrainOptions,
-        args=rest,
+        rest,
         prog=f"zoedepth train {name}",
         default=TrainOptions(data=tyro.MISSING, out=tyro.MISSING, config=config),
         config=(tyro.conf.AvoidSubcommands,),
