@@ -134,7 +134,32 @@ def test_single_pixel_of_a_head_by_hand():
     depth = sum(p * c for p, c in zip(probability, centers, strict=True))
     output = head(flat)
     assert output.distribution.bin_centers[0, :, 5, 7].tolist() == pytest.approx(centers, abs=1e-5)
+    assert output.distribution.probability[0, :, 5, 7].tolist() == pytest.approx(probability, abs=1e-5)
     assert output.depth[0, 0, 5, 7].item() == pytest.approx(depth, abs=1e-5)
+
+
+def pixels(*values: float) -> torch.Tensor:
+    """A map of one pixel."""
+    return torch.tensor(values).view(1, -1, 1, 1)
+
+
+def test_normed_centers_by_hand():
+    """Seeds of 0.2, -1 and 0.797 are widths of 0.201, 0.001 and 0.798; the attractors pull their middles."""
+    head = build_head(replace(NORMED, n_bins=3, reduce="mean", alpha=2.0)).domain
+    levels = [(0.3, 0.9), (0.5, 0.1), (0.4, 0.4), (0.8, 0.2)]
+    found = head.centers([pixels(0.2, -1.0, 0.797), *(pixels(*level) for level in levels)], 0.5, 8.0)
+    expected = [0.1005, 0.2015, 0.601]
+    for level in levels:
+        expected = [c + sum((a - c) / (1 + 2 * (a - c) ** 2) for a in level) / 2 for c in expected]
+    assert found.flatten().tolist() == pytest.approx([0.5 + 7.5 * c for c in expected], abs=1e-5)
+
+
+def test_only_a_sum_of_pulls_is_kept_from_below_the_nearest_depth():
+    """A mean of pulls leaves a center among the attractors, however near they are."""
+    for reduce, nearest in (("mean", 0.1), ("sum", 0.5)):
+        head = build_head(replace(TINY, n_bins=2, reduce=reduce, alpha=1.0)).domain
+        centers = head.centers([pixels(-3.0, -2.0), *4 * [pixels(0.1, 0.1)]], 0.5, 8.0)
+        assert centers.flatten().tolist() == pytest.approx([nearest] * 2, abs=0.01)
 
 
 def test_relative_depth_matters_only_where_it_is_an_input():

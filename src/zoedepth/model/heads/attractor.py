@@ -198,8 +198,7 @@ class AttractorHead(nn.Module):
     def output(self, embeddings: BinEmbeddings, centers: Float[Tensor, "batch bins height width"]) -> HeadOutput:
         """Predict the distribution over bins at these centers."""
         inputs = [embeddings.last, embeddings.relative] if self.config.relative_input else [embeddings.last]
-        last = embeddings.levels[-1] if embeddings.levels else embeddings.seed
-        return HeadOutput(self.probability([*inputs, last], centers))
+        return HeadOutput(self.probability([*inputs, embeddings.levels[-1]], centers))
 
     def _spread_centers(self) -> None:
         """Spread the first seed centers and attractors geometrically over the depth range, from 5 % of it on."""
