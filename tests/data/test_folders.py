@@ -1,5 +1,6 @@
 """Folders of pairs without a list."""
 
+import unicodedata
 from pathlib import Path
 
 import numpy as np
@@ -140,3 +141,120 @@ def test_list_goes_before_the_folders(tmp_path: Path) -> None:
     (tmp_path / "train.csv").write_text("image,depth,depth_scale,domain\nimage/1.jpg,depth/1.png,1000,indoor\n")
     assert [PairDataset(tmp_path)[0].name] == [str(Path("image/1.jpg"))]
     assert len(PairDataset(tmp_path)) == 1
+
+
+def test_names_that_look_the_same_go_together(tmp_path: Path) -> None:
+    photo(tmp_path / "images" / f"{unicodedata.normalize('NFD', 'Küche')}.jpg")
+    depth(tmp_path / "depth" / f"{unicodedata.normalize('NFC', 'Küche')}.png")
+    say(tmp_path)
+    assert PairDataset(tmp_path)[0].target[0].tolist() == [[0.5, 2]]
+
+
+def test_two_names_that_look_the_same_are_an_error(tmp_path: Path) -> None:
+    for form in ("NFC", "NFD"):
+        photo(tmp_path / "images" / f"{unicodedata.normalize(form, 'Küche')}.jpg")
+    if len(list((tmp_path / "images").iterdir())) < 2:
+        pytest.skip("this file system keeps one of two names that look the same")
+    depth(tmp_path / "depth" / "Küche.png")
+    say(tmp_path)
+    with pytest.raises(InputError, match=r"names that look the same, with accents stored in different ways"):
+        PairDataset(tmp_path)
+
+
+def test_names_that_only_begin_alike_do_not_go_together(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "1", near=1000)
+    pair(tmp_path, "images", "depth", "10", near=3000)
+    pair(tmp_path, "images", "depth", "a/1", near=5000)
+    say(tmp_path)
+    dataset = PairDataset(tmp_path)
+    assert [dataset[i].target[0, 0, 0].item() for i in range(3)] == [1, 3, 5]
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".heic", ".mat"])
+@pytest.mark.parametrize("allow_missing", [False, True])
+def test_depth_of_a_format_that_is_not_read_is_named(tmp_path: Path, suffix: str, allow_missing: bool) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    (tmp_path / "depth" / "0.png").rename(tmp_path / "depth" / f"0{suffix}")
+    say(tmp_path)
+    with pytest.raises(InputError, match=rf"depth/0{suffix} cannot hold the depth of .*images/0\.jpg.*\.npy"):
+        PairDataset(tmp_path, allow_missing=allow_missing)
+
+
+def test_photo_of_a_format_that_is_not_read_is_named(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    pair(tmp_path, "images", "depth", "1")
+    (tmp_path / "images" / "1.jpg").rename(tmp_path / "images" / "1.HEIC")
+    say(tmp_path)
+    with pytest.raises(InputError, match=r"images/1\.HEIC, the photo of .*depth/1\.png, is of a format"):
+        PairDataset(tmp_path)
+    (tmp_path / "images" / "0.jpg").unlink()
+    with pytest.raises(InputError, match=r"no photos in .*images, but 1\.HEIC.*\.jpg"):
+        PairDataset(tmp_path)
+
+
+def test_two_maps_that_may_be_the_depth_of_a_photo_are_an_error(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    depth(tmp_path / "depth" / "0_depth.png", near=999)  # a prediction beside the truth
+    say(tmp_path)
+    with pytest.raises(InputError, match=r"0\.png and .*0_depth\.png may both be the depth of 0"):
+        PairDataset(tmp_path)
+
+
+def test_more_folders_than_one_of_each_are_an_error(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    pair(tmp_path, "rgb", "depths", "0")
+    say(tmp_path)
+    with pytest.raises(InputError, match="the folders depth, depths, images, rgb: it is not clear"):
+        PairDataset(tmp_path)
+
+
+@pytest.mark.parametrize("stem", ["kitchen/1", "1"])
+def test_photos_that_no_split_has_are_an_error(tmp_path: Path, stem: str) -> None:
+    pair(tmp_path, "images", "depth", "train/0")
+    pair(tmp_path, "images", "depth", stem)
+    say(tmp_path)
+    with pytest.raises(InputError, match=r"has the splits \['train'\], and .* in none of them"):
+        PairDataset(tmp_path)
+
+
+def test_linked_folders_are_searched_and_circles_are_not(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "a/0")
+    pair(tmp_path / "elsewhere", "images", "depth", "1")
+    for half in ("images", "depth"):
+        (tmp_path / half / "b").symlink_to(tmp_path / "elsewhere" / half)
+        (tmp_path / half / "a" / "circle").symlink_to(tmp_path / half)
+    say(tmp_path)
+    dataset = PairDataset(tmp_path)
+    assert [dataset[i].name for i in range(len(dataset))] == ["images/a/0.jpg", "images/b/1.jpg"]
+
+
+class TestTimes:
+    """Names that are times of two clocks."""
+
+    def test_nearest_go_together_in_each_folder(self, tmp_path: Path) -> None:
+        for place, name in enumerate(["a/100.500000", "a/100.533333", "a/100.566666", "b/100.510000"], start=1):
+            photo(tmp_path / "rgb" / f"{name}.png")
+            if place != 2:
+                folder, time = name.split("/")
+                depth(tmp_path / "depth" / folder / f"{float(time) + 0.009:.6f}.png", near=1000 * place)
+        say(tmp_path)
+        dataset = PairDataset(tmp_path)
+        found = [(dataset[i].name, dataset[i].target[0, 0, 0].item()) for i in range(len(dataset))]
+        assert found == [("rgb/a/100.500000.png", 1), ("rgb/a/100.566666.png", 3), ("rgb/b/100.510000.png", 4)]
+        assert [each.target is None for each in PairDataset(tmp_path, allow_missing=True).pairs] == [
+            False, True, False, False,
+        ]  # fmt: skip
+
+    def test_none_near_enough_is_an_error(self, tmp_path: Path) -> None:
+        photo(tmp_path / "rgb" / "100.5.png")
+        depth(tmp_path / "depth" / "200.5.png")
+        say(tmp_path)
+        with pytest.raises(InputError, match=r"are times, and no two are within 0\.02 s"):
+            PairDataset(tmp_path)
+
+    def test_numbers_of_frames_are_no_times(self, tmp_path: Path) -> None:
+        photo(tmp_path / "rgb" / "000001.png")
+        depth(tmp_path / "depth" / "000002.png")
+        say(tmp_path)
+        with pytest.raises(InputError, match=r"Names must agree"):
+            PairDataset(tmp_path)

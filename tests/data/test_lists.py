@@ -1,4 +1,4 @@
-"""Lists of pairs other than CSV: JSON Lines and the text lists of BTS."""
+"""Lists of pairs: JSON Lines, the text lists of BTS, tables in text files, and what their names may point to."""
 
 import json
 from pathlib import Path
@@ -118,7 +118,7 @@ class TestBTS:
         with pytest.raises(InputError, match="1 photos without depth"):
             PairDataset(path, depth_scale=256, domain="outdoor")
 
-    @pytest.mark.parametrize("line", ["photo.jpg", "a b c", "a photo.jpg or depth.png 1"])
+    @pytest.mark.parametrize("line", ["photo.jpg", "a b c", "photo.jpg depth.jpg 1"])
     def test_malformed_line_is_an_error_that_names_file_and_line(self, folder: Path, line: str):
         with pytest.raises(InputError, match=r"gt\.txt, line 2"):
             PairDataset(bts(folder, f"photo.jpg depth.png 1\n{line}\n"), depth_scale=1000, domain="indoor")
@@ -135,3 +135,56 @@ class TestBTS:
         path.write_bytes(bytes(range(256)))
         with pytest.raises(InputError, match="UTF-8"):
             PairDataset(path)
+
+
+def test_table_may_be_in_a_text_file(folder: Path) -> None:
+    path = folder / "list.txt"  # as a spreadsheet's "Unicode text"
+    path.write_bytes("Image\tDepth\tDepth_Scale\tDomain\r\nphoto.jpg\tdepth.png\t1000\tindoor\r\n".encode("utf-16"))
+    assert PairDataset(path)[0].target[0].tolist() == [[0.5, 2]]
+
+
+def test_two_names_of_a_photo_are_an_error_unless_they_are_one(folder: Path) -> None:
+    with pytest.raises(InputError, match=r"line 1: says two photos, image 'photo\.jpg' and rgb 'other\.jpg'"):
+        PairDataset(jsonl(folder, {**GOOD, "rgb": "other.jpg"}))
+    assert len(PairDataset(jsonl(folder, {**GOOD, "rgb": "photo.jpg"}))) == 1
+
+
+@pytest.mark.parametrize("key", ["depth", "disparity"])
+def test_lossy_depth_is_an_error_before_anything_is_read(folder: Path, key: str) -> None:
+    with pytest.raises(InputError, match=rf"line 1: 'photo\.jpg' cannot hold {key}.*\.exr"):
+        PairDataset(jsonl(folder, {"image": "photo.jpg", key: "photo.jpg", "depth_scale": 1, "domain": "indoor"}))
+
+
+class TestElsewhere:
+    """Files that are not below the list."""
+
+    def test_root_is_where_the_files_are(self, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+        path = jsonl(tmp_path_factory.mktemp("lists"), GOOD)
+        with pytest.raises(InputError, match=r"2 files that do not exist.*its own folder; --root names another"):
+            PairDataset(path)
+        dataset = PairDataset(path, root=folder)
+        assert (dataset[0].name, dataset[0].target[0].tolist()) == ("photo.jpg", [[0.5, 2]])
+        assert len(PairDataset(path.parent, root=folder)) == 1
+
+    def test_absolute_paths_of_your_own_list_are_taken(
+        self, folder: Path, tmp_path_factory: pytest.TempPathFactory
+    ) -> None:
+        path = jsonl(
+            tmp_path_factory.mktemp("lists"),
+            {**GOOD, "image": str(folder / "photo.jpg"), "depth": str(folder / "depth.png")},
+        )
+        dataset = PairDataset(path)
+        # A name is a path below some folder, whoever makes one of it.
+        assert dataset[0].name == str((folder / "photo.jpg").relative_to(folder.anchor))
+        with pytest.raises(InputError, match=r"line 1: .*inside the folder of the list"):
+            PairDataset(path.parent)
+        assert PairDataset(path.parent, root=folder)[0].name == "photo.jpg"
+
+    def test_paths_upwards_have_names_without_dots(self, folder: Path) -> None:
+        (folder / "lists").mkdir()
+        path = jsonl(folder / "lists", {**GOOD, "image": "../photo.jpg", "depth": "../depth.png"})
+        assert PairDataset(path)[0].name == str((folder / "photo.jpg").relative_to(folder.anchor))
+
+    def test_absolute_paths_in_a_text_list(self, folder: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+        path = bts(tmp_path_factory.mktemp("lists"), f"{folder}/photo.jpg {folder}/depth.png 518.8579")
+        assert PairDataset(path, depth_scale=1000, domain="indoor")[0].target[0].tolist() == [[0.5, 2]]

@@ -167,12 +167,12 @@ def test_malformed_line_is_an_error_that_names_file_line_and_field(
     assert "line 4" in str(raised.value)
 
 
-@pytest.mark.parametrize("column", ["image", "depth", "depth_scale", "domain"])
-def test_missing_column_is_an_error_that_names_file_and_line(tmp_path: Path, column: str) -> None:
+@pytest.mark.parametrize(("column", "line"), [("image", 1), ("depth", 1), ("depth_scale", 2), ("domain", 2)])
+def test_missing_column_is_an_error_that_names_file_and_line(tmp_path: Path, column: str, line: int) -> None:
     row = {"image": "photo.jpg", "depth": "target.png", "depth_scale": "1000", "domain": "indoor"}
     del row[column]
     write_csv(tmp_path / "train.csv", [row])
-    with pytest.raises(InputError, match=rf"train\.csv, line 2.*{column}"):
+    with pytest.raises(InputError, match=rf"train\.csv, line {line}.*{column}"):
         PairDataset(tmp_path)
 
 

@@ -62,7 +62,8 @@ def _split(line: str, where: str, root: Path) -> tuple[str, str]:
         raise InputError(f"{where}: needs a photo and its depth (or {MISSING}); it has only {line[:200]!r}")
     if len(words) == 2 or (len(words) == 3 and _is_number(words[2])):
         return words[0], words[1]
-    if len(words) > 3 and all(_is_number(word) for word in (words[0], words[2], *words[4:])):
+    names, numbers = words[1:4:2], [words[0], *words[2:3], *words[4:]]
+    if len(words) > 3 and all(map(_is_number, numbers)) and not any(map(_is_number, names)):
         return words[1], words[3]
     if len(line) > _LONGEST or not (found := _split_at_blanks(line, root)):
         raise InputError(
