@@ -3,10 +3,12 @@
 import json
 import logging
 import math
+import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -210,11 +212,29 @@ def _complete_onnx(model: DepthModel, path: Path) -> None:
 def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence[str | Path]) -> None:
     import openvino
 
-    converted = openvino.convert_model(graph)
-    if photos:
-        converted = _quantized(model, converted, photos)
+    with _without_telemetry():
+        converted = openvino.convert_model(graph)
+        if photos:
+            converted = _quantized(model, converted, photos)
     converted.set_rt_info(metadata(model), METADATA)
     openvino.save_model(converted, path, compress_to_fp16=False)
+
+
+@contextmanager
+def _without_telemetry() -> Iterator[None]:
+    """Run OpenVINO's converter and NNCF without the statistics that they send to their makers.
+
+    They send none from CI jobs, which they tell by these variables. Each message would start a process of its own, too.
+    """
+    names = ("CI", "NNCF_CI")
+    before = {name: os.environ[name] for name in names if name in os.environ}
+    os.environ.update(dict.fromkeys(names, "true"))
+    try:
+        yield
+    finally:
+        for name in names:
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -> Any:
