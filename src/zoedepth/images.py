@@ -5,24 +5,22 @@ Every photograph that enters the package, as a file, a PIL image, an array or a 
 """
 
 import os
-import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image, UnidentifiedImageError
 
+from zoedepth.claims import BinaryFile, check_claims
 from zoedepth.errors import InputError
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
 DepthArray = Float32[np.ndarray, "_height _width"]
-BinaryFile = IO[bytes] | BytesIO  # a BytesIO is an IO[bytes] to static checkers, not to beartype
 
 IMAGE_SUFFIXES = frozenset(
     {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".avif", ".bmp", ".dib"}
@@ -36,22 +34,27 @@ PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 MAX_PIXELS = 178_956_970
 """The largest picture that is decoded, where Pillow itself refuses: about 180 megapixels, or 0.5 GB of RGB."""
 
+OWN_MARK = "made by zoedepth"
+"""EXIF's "Software" in the pictures that ``write_image`` writes, by which they are known not to be photographs."""
+
 PNG_SCALE_MILLIMETRE = 1000.0
 PNG_SCALE_KITTI = 256.0
 PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
 _FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
-# A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots and renders of up to 44
-# megapixels pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
-_FREE_BYTES, _MAX_RATIO = 128 << 20, 256
-_MAX_SCANS = 30  # progressive JPEGs have about ten
-# A marker of a JPEG that is neither a stuffed byte nor one that stands inside of a scan.
-_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
+# A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots of 8K and pages at 600 dpi
+# pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
+_FREE_BYTES, _MAX_RATIO = 105_000_000, 256
+_RATIOS = {"TGA": 16}  # nobody stores photos so; renders with large flat parts unpack to a few times their size
+# Bytes of a pixel that count, where they are not 3. Reading most formats takes 7 (4 in Pillow, 3 in the image); these
+# decoders keep more copies, 16, 9 and 19 bytes as measured, and count in proportion.
+_BYTES = {"WEBP": 7, "AVIF": 4, "JPEG2000": 8}
+_BAND = 1 << 18  # pixels that are converted at once
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
 # EXIF orientation -> the transposition that turns the picture upright (EXIF 2.3, tag 0x0112).
-_ORIENTATION_TAG = 0x0112
+_ORIENTATION_TAG, _SOFTWARE_TAG = 0x0112, 0x0131
 _UPRIGHT = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -111,13 +114,17 @@ def to_image(source: Any) -> ImageArray:
 def write_image(path: str | Path, image: ImageArray) -> None:
     """Write a uint8 RGB picture in the format of the suffix (JPEG at quality 92), whole or not at all.
 
+    It is for pictures that show something about photos: they say in their EXIF that they are none (``OWN_MARK``).
+
     Raises:
         InputError: a suffix that is not .jpg, .jpeg, .png or .webp.
     """
     if Path(path).suffix.lower() not in PICTURE_SUFFIXES:
         raise InputError(f"cannot write a picture as {Path(path).name!r}: use one of {', '.join(PICTURE_SUFFIXES)}")
+    exif = Image.Exif()
+    exif[_SOFTWARE_TAG] = OWN_MARK
     with atomic_path(path) as temporary:
-        Image.fromarray(image).save(temporary, quality=92)
+        Image.fromarray(image).save(temporary, quality=92, exif=exif)
 
 
 @contextmanager
@@ -149,6 +156,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
     Image.init()
     try:
         with open(source, "rb") if isinstance(source, str | Path) else nullcontext(source) as file:
+            _check_claims(file, name)
             picture = Image.open(file, formats=[known for known in _FORMATS if known in Image.OPEN])
             _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
@@ -166,6 +174,13 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
     return picture
 
 
+def _check_claims(file: BinaryFile, name: str) -> None:
+    try:
+        check_claims(file)
+    except ValueError as error:
+        raise InputError(f"{name} is no ordinary photo: {error}") from error
+
+
 def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: int) -> None:
     """Refuse, before it is decoded, a picture that would take memory or time out of proportion to its file."""
     n_pixels = picture.width * picture.height
@@ -174,43 +189,41 @@ def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: i
         raise InputError(f"{claim}, over the limit of {max_pixels:,}: resize it")
     place = file.tell()
     try:
-        check_expansion(3 * n_pixels, file.seek(0, os.SEEK_END))
+        unpacked = _BYTES.get(picture.format or "", 3) * n_pixels
+        check_expansion(unpacked, file.seek(0, os.SEEK_END), ratio=_RATIOS.get(picture.format or "", _MAX_RATIO))
     except ValueError as error:
         raise InputError(f"{claim}: {error}. Resize it, or save it with less compression") from error
-    if picture.format in ("JPEG", "MPO"):
-        file.seek(0)
-        # Each scan of a JPEG passes over the whole picture, and can be as short as a few bytes.
-        if _count_scans(file.read()) > _MAX_SCANS:
-            raise InputError(f"{name} has more than {_MAX_SCANS} scans: save it again as an ordinary JPEG")
     file.seek(place)
 
 
-def _count_scans(content: bytes) -> int:
-    """Count the scans of the first picture in a JPEG; phones append films and further pictures."""
-    place, scans = 2, 0
-    while found := _MARKER.search(content, place):
-        kind, place = content[found.start() + 1], found.end()
-        if kind == 0xD9:  # the end of the picture
-            break
-        scans += kind == 0xDA
-        place += int.from_bytes(content[place : place + 2], "big")
-    return scans
+def as_array(picture: Image.Image, mode: str) -> np.ndarray:
+    """Return the values of a picture in another mode. Only bands of it are copied on the way: that is twice as fast."""
+    n_rows = max(1, _BAND // max(1, picture.width))
+    values = np.asarray(picture.crop((0, 0, picture.width, min(n_rows, picture.height))).convert(mode))
+    if n_rows >= picture.height:
+        return values
+    values = np.empty((picture.height, *values.shape[1:]), values.dtype)
+    for top in range(0, picture.height, n_rows):
+        bottom = min(top + n_rows, picture.height)
+        values[top:bottom] = picture.crop((0, top, picture.width, bottom)).convert(mode)
+    return values
 
 
-def check_expansion(unpacked: int, packed: int) -> None:
+def check_expansion(unpacked: int, packed: int, *, ratio: int = _MAX_RATIO) -> None:
     """Refuse a file that unpacks to far more than it is large.
 
     Args:
         unpacked: bytes that its content takes in memory.
         packed: bytes of the file.
+        ratio: how many times its size a file may unpack to, where that is more than 105 MB.
 
     Raises:
         ValueError: it does; the message says by how much, and is to be put behind the name of the file.
     """
-    if unpacked > max(_FREE_BYTES, _MAX_RATIO * packed):
+    if unpacked > max(_FREE_BYTES, ratio * packed):
         raise ValueError(
-            f"{packed:,} bytes would unpack to {unpacked:,}; a file that unpacks to more than {_MAX_RATIO} times its "
-            f"size may have at most {_FREE_BYTES >> 20} MiB of content"
+            f"{packed:,} bytes would unpack to {unpacked:,}; a file that unpacks to more than {ratio} times its size "
+            f"may have at most {_FREE_BYTES:,} bytes of content"
         )
 
 
@@ -230,9 +243,7 @@ def _from_pil(picture: Image.Image, name: str) -> ImageArray:
     try:
         picture.load()  # a PIL image handed in may not be decoded yet
         picture = _upright(picture)
-        if picture.mode != "F" and not picture.mode.startswith("I"):
-            picture = picture.convert("RGB")
-        values = np.asarray(picture)
+        values = as_array(picture, picture.mode if picture.mode == "F" or picture.mode.startswith("I") else "RGB")
     except Exception as error:  # see ``_open``
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
     if values.dtype.kind == "i":  # mode "I" is how some decoders hand out 16 bits

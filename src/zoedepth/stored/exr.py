@@ -33,7 +33,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
         check_map(values.shape, values.dtype)
     except Exception as error:  # the library raises RuntimeError and others for damage of any kind
         raise InputError(f"{path} is not a readable OpenEXR file ({error})") from error
-    return values.astype(np.float32)
+    return values.astype(np.float32, copy=False)
 
 
 def _check_exr(headers: list[dict[str, Any]], n_bytes: int) -> None:

@@ -1,6 +1,7 @@
 """Maps in HDF5 files, whose chunks are looked at before the library unpacks them."""
 
 import zlib
+from itertools import product
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import check_expansion
 from zoedepth.stored.files import Map, check_exists, check_map
 
-_MAX_CHUNKS = 1 << 18
+_MAX_CHUNKS = 1 << 15  # 180 megapixels in chunks of 74 x 74
 _MAX_CHUNK = 1 << 24  # values
 _MAX_LZF_BYTES = 1 << 27
 _LZF_RATIO = 88  # three bytes stand for 264 at most
@@ -39,8 +40,8 @@ def read_hdf5(path: Path, key: str) -> Map:
             if not isinstance(found, h5py.Dataset):
                 raise ValueError(f"{key!r} is not an array")
             check_map(found.shape, found.dtype)
-            _check_chunks(found)
             check_expansion(found.size * found.dtype.itemsize, path.stat().st_size)
+            _check_chunks(found)
             return np.asarray(found)
     except Exception as error:  # h5py raises OSError, KeyError, RuntimeError and others on a damaged file
         raise InputError(f"{path} is not an HDF5 file with a map {key!r} ({error})") from error
@@ -60,7 +61,8 @@ def _check_chunks(dataset: Any) -> None:
         return
     if prod(dataset.chunks) > max(dataset.size, _MAX_CHUNK):
         raise ValueError(f"its chunks of {dataset.chunks} are larger than the map")
-    if prod(-(-side // chunk) for side, chunk in zip(dataset.shape, dataset.chunks, strict=True)) > _MAX_CHUNKS:
+    places = [range(0, side, chunk) for side, chunk in zip(dataset.shape, dataset.chunks, strict=True)]
+    if prod(map(len, places)) > _MAX_CHUNKS:
         raise ValueError(f"it has more than {_MAX_CHUNKS:,} chunks")
     plan = dataset.id.get_create_plist()
     filters = [plan.get_filter(number)[0] for number in range(plan.get_nfilters())]
@@ -70,8 +72,10 @@ def _check_chunks(dataset: Any) -> None:
     if packers not in ([], [h5py.h5z.FILTER_DEFLATE], [h5py.h5z.FILTER_LZF]):
         raise ValueError(f"it is compressed by the filters {packers}; repack it with gzip: h5repack -f GZIP=4")
     limit = prod(dataset.chunks) * dataset.dtype.itemsize
-    for number in range(dataset.id.get_num_chunks() if packers else 0):
-        skipped, packed = dataset.id.read_direct_chunk(dataset.id.get_chunk_info(number).chunk_offset)
+    for place in product(*places) if packers else ():
+        if not dataset.id.get_chunk_info_by_coord(place).size:  # nothing was written there
+            continue
+        skipped, packed = dataset.id.read_direct_chunk(place)
         if skipped >> filters.index(packers[0]) & 1:  # this chunk is not packed
             continue
         unpacker = zlib.decompressobj()

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Bool, UInt16
 from PIL import Image
 
+from zoedepth.claims import check_claims
 from zoedepth.errors import InputError
-from zoedepth.images import MAX_PIXELS, DepthArray, check_expansion, check_tiles
+from zoedepth.images import MAX_PIXELS, DepthArray, as_array, check_expansion, check_tiles
 from zoedepth.stored.arrays import read_npy, read_npz
 from zoedepth.stored.exr import read_exr
 from zoedepth.stored.files import Map, Memory, check_exists
@@ -19,7 +20,8 @@ DEPTH_SUFFIXES = (".png", ".npy", ".npz", ".exr", ".tif", ".tiff")
 SCALE_KEY = "DepthScale"
 """The PNG text chunk in which this package says the unit of the depth it writes: the stored value of one metre."""
 
-_BYTES = {"1": 1, "L": 1, "P": 1, "I;16": 2, "I;16B": 2}  # a pixel in memory, by mode; others have 4
+# Bytes of a pixel that count, by mode: half of what reading takes, with the copy in metres; others have 4.
+_BYTES = {"1": 2, "L": 2, "P": 2, "I;16": 3, "I;16B": 3}
 _PICTURES = {".png": "PNG", ".tif": "TIFF", ".tiff": "TIFF"}
 
 
@@ -53,7 +55,7 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     scale = scale or stored.scale
     if scale is None:
         raise InputError(f"{path} does not say its scale: pass scale=1000 for millimetres, or scale=256 for KITTI's")
-    return stored.values.astype(np.float32) / np.float32(scale)
+    return np.divide(stored.values, np.float32(scale), dtype=np.float32)
 
 
 def read_stored(file: Path | Memory) -> StoredMap:
@@ -78,8 +80,9 @@ def read_stored(file: Path | Memory) -> StoredMap:
 def declared_scale(path: Path) -> float | None:
     """Return the stored value of one metre that a PNG declares in its text; None where it does not, or is no PNG."""
     try:
-        with Image.open(path, formats=["PNG"]) as picture:  # reads no more than the header
-            return _scale_in(picture)
+        with path.open("rb") as file:
+            check_claims(file)
+            return _scale_in(Image.open(file, formats=["PNG"]))  # reads no more than the header
     except Exception:  # whoever reads the map says what is wrong with the file
         return None
 
@@ -116,13 +119,15 @@ def read_png_with_text(path: Path) -> tuple[Map, dict[str, str]]:
 def _read_picture(file: Path | Memory, format: str, *, one_bit: bool = False) -> StoredMap:
     check_exists(file)
     try:
-        with Image.open(file, formats=[format]) as picture:
+        with file if isinstance(file, Memory) else file.open("rb") as opened:
+            check_claims(opened)
+            picture = Image.open(opened, formats=[format])
             if picture.width * picture.height > MAX_PIXELS:
                 raise ValueError(f"{picture.width} x {picture.height} are more than {MAX_PIXELS:,} pixels")
             check_tiles(picture)
             n_bytes = file.getbuffer().nbytes if isinstance(file, Memory) else file.stat().st_size
             check_expansion(picture.width * picture.height * _BYTES.get(picture.mode, 4), n_bytes)
-            mode, values, scale = picture.mode, np.asarray(picture), _scale_in(picture)
+            mode, values, scale = picture.mode, as_array(picture, picture.mode), _scale_in(picture)
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{file} is not a readable {format} ({error})") from error
     if values.ndim != 2 or mode == "P" or (mode == "1" and not one_bit):

@@ -1,0 +1,210 @@
+"""Claims of a photo's file: how many pieces it says it has, counted before a decoder goes through them.
+
+A decoder makes something of every piece, so that a file of a few kilobytes can keep it busy for minutes. Each function
+walks through the headers of one format, without unpacking anything, and raises ``ValueError`` where there are far more
+pieces than any photo has. What it cannot make sense of is left to the decoder.
+"""
+
+import os
+import re
+import struct
+from contextlib import suppress
+from io import BytesIO
+from typing import IO
+
+BinaryFile = IO[bytes] | BytesIO  # a BytesIO is an IO[bytes] to static checkers, not to beartype
+
+MAX_SCANS = 30
+"""Scans of a JPEG, at most; progressive ones have about ten."""
+
+_MAX_PIECES = 10_000  # segments, chunks, boxes: photos have up to some hundreds, beside the pixels
+_MAX_JPEG = 1 << 28  # bytes of a JPEG that are looked at: the largest pictures are smaller
+_MAX_JUNK = 1 << 16  # bytes that stand between the segments of a JPEG
+_CHUNK = 1024  # bytes that the chunks of a large PNG have on average, at least
+_MAX_RUN_PIXELS = 1 << 22
+_MAX_PNM_HEADER, _MAX_COMMENTS = 4096, 100
+_MAX_TAGS, _MAX_STRIPS = 4096, 1 << 17
+_MAX_MARKERS, _MAX_PRECINCTS, _MAX_BLOCKS = 1 << 17, 1 << 16, 1 << 19
+
+# A marker of a JPEG that is neither a stuffed byte nor one that stands inside of a scan.
+_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
+# TIFF's tags of the places and lengths of strips and tiles.
+_STRIP_TAGS = (273, 279, 324, 325)
+# Markers of JPEG 2000: SOC, SIZ, COD, COC, SOT, SOD, EOC.
+_START, _SIZE, _CODING, _CODING_OF_COMPONENT, _PART, _CONTENT, _END = (
+    0xFF4F, 0xFF51, 0xFF52, 0xFF53, 0xFF90, 0xFF93, 0xFFD9,
+)  # fmt: skip
+
+
+def check_claims(file: BinaryFile) -> None:
+    """Refuse a photo of far too many pieces. The file is left at the position where it was.
+
+    Raises:
+        ValueError: it has; the message says of what, and is to be put behind the name of the file.
+    """
+    place = file.tell()
+    start = file.read(12)
+    for prefixes, check in _CHECKS.items():
+        if start.startswith(prefixes):
+            file.seek(place)
+            with suppress(struct.error, IndexError, ZeroDivisionError):  # the decoder says what is wrong
+                check(file)
+    file.seek(place)
+
+
+def _check_jpeg(file: BinaryFile) -> None:
+    """Count the segments of the first picture, and its scans, each of which passes over the whole picture.
+
+    Phones append films and further pictures, in which any bytes may stand.
+    """
+    content = file.read(_MAX_JPEG)
+    place, pieces, scans, junk = 2, 0, 0, 0
+    # Only in scans may bytes stand that belong to no segment.
+    while found := _MARKER.search(content, place, len(content) if scans else place + _MAX_JUNK + 2):
+        kind, begin = content[found.start() + 1], found.start()
+        if kind == 0xD9:  # the end of the picture
+            break
+        junk += 0 if scans else begin - place
+        pieces += 1
+        scans += kind == 0xDA
+        if scans > MAX_SCANS:
+            raise ValueError(f"it has more than {MAX_SCANS} scans. Save it again as an ordinary JPEG")
+        if pieces > _MAX_PIECES or junk > _MAX_JUNK:
+            break
+        place = found.end() + int.from_bytes(content[found.end() : found.end() + 2], "big")
+    else:
+        junk += 0 if scans else len(content) - place
+    if pieces > _MAX_PIECES:
+        raise ValueError(f"it has more than {_MAX_PIECES:,} segments. Save it again as an ordinary JPEG")
+    if junk > _MAX_JUNK:
+        raise ValueError(f"more than {_MAX_JUNK:,} bytes stand between its segments. Save it again as an ordinary JPEG")
+
+
+def _check_png(file: BinaryFile) -> None:
+    """Count the chunks: those of pixels have 8 KB and more, others are few."""
+    begin = file.tell()
+    size = file.seek(0, os.SEEK_END)
+    limit = _MAX_PIECES + (size - begin) // _CHUNK
+    file.seek(begin + 8)
+    for _ in range(limit):
+        length, kind = struct.unpack(">I4s", file.read(8))
+        if kind == b"IEND" or file.seek(length + 4, os.SEEK_CUR) >= size:
+            return
+    raise ValueError(f"it has more than {limit:,} chunks. Save it again as an ordinary PNG")
+
+
+def _check_bmp(file: BinaryFile) -> None:
+    """Refuse large pictures that are packed by runs: Pillow unpacks them one pixel at a time."""
+    begin = file.tell()
+    file.seek(begin + (14 if file.read(2) == b"BM" else 0))
+    width, height, packing = struct.unpack("<4xii4xI", file.read(20))
+    n_bytes = file.seek(0, os.SEEK_END) - begin
+    if packing in (1, 2) and (abs(width * height) > _MAX_RUN_PIXELS or n_bytes > _MAX_RUN_PIXELS):
+        raise ValueError(f"it is packed by runs, and larger than {_MAX_RUN_PIXELS:,} pixels or bytes. Save it as PNG")
+
+
+def _check_pnm(file: BinaryFile) -> None:
+    """Count the comments: Pillow reads the header one byte at a time, and passes over the whole text per comment."""
+    begin = file.tell()
+    header = re.sub(rb"#[^\r\n]*[\r\n]", b" ", file.read(_MAX_PNM_HEADER)).split(maxsplit=4)
+    if len(header) < 4:
+        raise ValueError(f"its header is longer than {_MAX_PNM_HEADER:,} bytes, or cut short. Save it as PNG")
+    file.seek(begin)
+    if header[0] in (b"P1", b"P2", b"P3") and file.read(_MAX_JPEG).count(b"#") > _MAX_COMMENTS:
+        raise ValueError(f"it has more than {_MAX_COMMENTS} comments. Save it as PNG")
+
+
+def _check_tiff(file: BinaryFile) -> None:
+    """Count the tags of the first picture, and its strips or tiles."""
+    begin = file.tell()
+    start = file.read(16)
+    order = "<" if start.startswith(b"II") else ">"
+    for large in {start[2] == 43, 43 in start[2:4]}:  # BigTIFF has numbers of 64 bits; Pillow looks at the first byte
+        file.seek(begin + struct.unpack_from(order + ("Q" if large else "I"), start, 8 if large else 4)[0])
+        (n_tags,) = struct.unpack(order + ("Q" if large else "H"), file.read(8 if large else 2))
+        if n_tags > _MAX_TAGS:
+            raise ValueError(f"it has {n_tags:,} tags, more than {_MAX_TAGS:,}. Save it again as an ordinary TIFF")
+        for _ in range(n_tags):
+            tag, _, count = struct.unpack(order + ("HHQ8x" if large else "HHI4x"), file.read(20 if large else 12))
+            if tag in _STRIP_TAGS and count > _MAX_STRIPS:
+                raise ValueError(
+                    f"it has {count:,} strips or tiles, more than {_MAX_STRIPS:,}. Save it again as an ordinary TIFF"
+                )
+
+
+def _check_jp2(file: BinaryFile) -> None:
+    """Find the codestream in the boxes of a JP2 file, and check it."""
+    for _ in range(_MAX_PIECES):
+        place = file.tell()
+        size, kind = struct.unpack(">I4s", file.read(8))
+        if size == 1:
+            (size,) = struct.unpack(">Q", file.read(8))
+        if kind == b"jp2c":
+            return _check_codestream(file)
+        if size < 8:  # the last box, or a damaged one
+            return None
+        file.seek(place + size)
+    raise ValueError(f"it has more than {_MAX_PIECES:,} boxes. Save it again as an ordinary JPEG 2000")
+
+
+def _check_codestream(file: BinaryFile) -> None:
+    """Count what OpenJPEG makes objects of, used or not: precincts, of which a tile has at least one, and code blocks.
+
+    The part of each tile may change the sizes of both.
+    """
+    grid, part_end = b"", None
+    for _ in range(_MAX_MARKERS):
+        place = file.tell()
+        (marker,) = struct.unpack(">H", file.read(2))
+        if marker == _END:
+            return
+        if marker == _CONTENT:
+            if part_end is None:  # it is the last one
+                return
+            file.seek(part_end)
+        elif marker != _START:
+            (length,) = struct.unpack(">H", file.read(2))
+            segment = file.read(max(length - 2, 0))
+            if marker == _SIZE:
+                grid = segment
+            elif marker == _PART:
+                (size,) = struct.unpack_from(">I", segment, 2)
+                part_end = place + size if size else None
+            elif marker in (_CODING, _CODING_OF_COMPONENT):
+                _check_coding(segment, grid, of_component=marker == _CODING_OF_COMPONENT)
+    raise ValueError(f"it has more than {_MAX_MARKERS:,} parts. Save it again with larger tiles")
+
+
+def _check_coding(segment: bytes, grid: bytes, *, of_component: bool) -> None:
+    right, bottom, left, top, *tile, tile_left, tile_top, n_components = struct.unpack_from(">8IH", grid, 2)
+    n_tiles = -(-(right - tile_left) // tile[0]) * -(-(bottom - tile_top) // tile[1])
+    start = 0 if not of_component else 1 if n_components < 257 else 2
+    levels, *block = struct.unpack_from("3B", segment, start + (1 if of_component else 5))
+    sizes = segment[start + (6 if of_component else 10) :] if segment[start] & 1 else b""
+    sides = (min(tile[0], right - left), min(tile[1], bottom - top))
+    n_precincts = 0
+    for level in range(levels + 1):
+        size = sizes[level] if sizes else 0xFF
+        across, down = (
+            max(1, -(-side >> (levels - level) + exponent))
+            for side, exponent in zip(sides, (size & 15, size >> 4), strict=True)
+        )
+        n_precincts += n_components * n_tiles * across * down
+    n_blocks = n_components * (right - left) * (bottom - top) >> (sum(side & 15 for side in block) + 4)
+    if max(n_precincts / _MAX_PRECINCTS, n_blocks / _MAX_BLOCKS) > 1:
+        raise ValueError(
+            f"it has {n_precincts:,} precincts and {n_blocks:,} code blocks, more than {_MAX_PRECINCTS:,} and "
+            f"{_MAX_BLOCKS:,}. Save it again in one tile, as an ordinary JPEG 2000"
+        )
+
+
+_CHECKS = {
+    (b"\xff\xd8",): _check_jpeg,
+    (b"\x89PNG",): _check_png,
+    (b"II", b"MM"): _check_tiff,
+    (b"BM", *(bytes([size, 0, 0, 0]) for size in (40, 52, 56, 64, 108, 124))): _check_bmp,
+    (b"P1", b"P2", b"P3", b"P4", b"P5", b"P6"): _check_pnm,
+    (b"\0\0\0\x0cjP  ",): _check_jp2,
+    (b"\xff\x4f\xff\x51",): _check_codestream,
+}
+"""How a file of a format begins → the function that checks it."""

@@ -1,0 +1,180 @@
+"""Photos of a few kilobytes or megabytes that would keep a decoder busy for seconds to minutes, or fill the memory."""
+
+import io
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+from tests import bombs
+
+from zoedepth.claims import check_claims
+from zoedepth.errors import InputError
+from zoedepth.images import read_image
+from zoedepth.stored import declared_scale, read_mask
+
+PIXELS = zlib.compress(bytes(8 * 25))
+
+
+def saved(kind: str, size: tuple[int, int] = (64, 64), mode: str = "RGB", **options: object) -> bytes:
+    buffer = io.BytesIO()
+    Image.new(mode, size).save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+def jpeg(segments: bytes) -> bytes:
+    """A JPEG with more segments at its beginning."""
+    content = saved("JPEG")
+    return content[:2] + segments + content[2:]
+
+
+def png(*chunks: bytes, after: bytes = b"") -> bytes:
+    header = bombs.chunk(b"IHDR", struct.pack(">IIBBBBB", 8, 8, 8, 2, 0, 0, 0))
+    body = b"".join(chunks) + bombs.chunk(b"IDAT", PIXELS) + after + bombs.chunk(b"IEND", b"")
+    return b"\x89PNG\r\n\x1a\n" + header + body
+
+
+def tiff(order: str, tags: dict[int, int], counts: dict[int, int], *, large: bool = False) -> bytes:
+    """A TIFF of tags, of which some have more values than one."""
+    entry, start = ("HHQQ", "HHHQQ") if large else ("HHII", "HIH")
+    values = (43, 8, 0, 16, len(tags)) if large else (42, 8, len(tags))
+    entries = [struct.pack(order + entry, tag, 4, counts.get(tag, 1), value) for tag, value in sorted(tags.items())]
+    return (b"II" if order == "<" else b"MM") + struct.pack(order + start, *values) + b"".join(entries) + bytes(99)
+
+
+def bmp(size: int, content: bytes, *, file_header: bool = True) -> bytes:
+    """A BMP of 8 bits, packed by runs."""
+    info = struct.pack("<IiiHHIIiiII", 40, size, size, 1, 8, 1, len(content), 0, 0, 256, 0) + bytes(1024)
+    before = b"BM" + struct.pack("<IHHI", 14 + len(info) + len(content), 0, 0, 14 + len(info)) if file_header else b""
+    return before + info + content
+
+
+def jpeg2000(change: Callable[[bytearray], None], *, in_tile: bool = False, boxes: bool = False) -> bytes:
+    """A JPEG 2000 of 1000 x 1000 pixels whose coding style (COD) is changed, in the main header or in its tile's."""
+    content = saved("JPEG2000", (1000, 1000), no_jp2=not boxes)
+    begin = content.index(b"\xff\x52")
+    end = begin + 2 + int.from_bytes(content[begin + 2 : begin + 4], "big")
+    style = bytearray(content[begin:end])
+    change(style)
+    style[2:4] = struct.pack(">H", len(style) - 2)
+    if not in_tile:
+        return content[:begin] + style + content[end:]
+    data = content.index(b"\xff\x93", end)
+    part = content.index(b"\xff\x90", end)
+    (size,) = struct.unpack_from(">I", content, part + 6)
+    changed = bytearray(content[:data] + style + content[data:])
+    struct.pack_into(">I", changed, part + 6, size + len(style))
+    return bytes(changed)
+
+
+def tiny_precincts(style: bytearray) -> None:
+    """Precincts of 2 x 2 pixels: each takes half a kilobyte, and 1000 x 1000 pixels 1.6 GB."""
+    style[4] |= 1
+    style += bytes([0x11] * (style[9] + 1))
+
+
+def tiny_tiles() -> bytes:
+    content = bytearray(saved("JPEG2000", (1000, 1000), no_jp2=True))
+    struct.pack_into(">II", content, content.index(b"\xff\x51") + 22, 5, 5)
+    return bytes(content)
+
+
+last_scan = (progressive := saved("JPEG", progressive=True))[progressive.rindex(b"\xff\xda") : -2]
+STRIPS = {256: 8, 257: 8, 258: 8, 259: 1, 262: 1, 273: 8, 277: 1, 278: 8, 279: 64}
+MANY = {273: 5_000_000, 279: 5_000_000}
+BOMBS = {
+    "jpeg segments": (jpeg(b"\xff\xe3\0\2" * 1_000_000), "more than 10,000 segments"),
+    "jpeg comments": (jpeg(b"\xff\xfe\0\6aaaa" * 500_000), "more than 10,000 segments"),
+    "jpeg filling": (jpeg(b"\xff" * 30_000_000), "between its segments"),
+    "jpeg zeros": (jpeg(b"\xff\xe3\0\2" + bytes(30_000_000)), "between its segments"),
+    "jpeg scans": (progressive[:-2] + 30 * last_scan + b"\xff\xd9", "more than 30 scans"),
+    "png chunks": (png(bombs.chunk(b"abCd", b"") * 1_000_000), "more than 21,7.. chunks"),
+    "png texts": (png(*(bombs.chunk(b"tEXt", b"%d\0v" % i) for i in range(100_000))), "chunks"),
+    "png pixels": (png(bombs.chunk(b"IDAT", b"") * 1_000_000), "chunks"),
+    "png end": (png(after=bombs.chunk(b"abCd", b"") * 1_000_000), "chunks"),
+    "tiff tags": (tiff("<", STRIPS | dict.fromkeys(range(300, 65_000), 8), {}), "has 64,709 tags, more than 4,096"),
+    "tiff strips": (tiff("<", STRIPS, MANY) + bytes(20_000_000), "5,000,000 strips"),
+    "tiff strips, big-endian": (tiff(">", STRIPS, MANY) + bytes(20_000_000), "5,000,000 strips"),
+    "tiff tiles": (tiff("<", STRIPS | {324: 8}, {324: 5_000_000}) + bytes(20_000_000), "5,000,000 strips or tiles"),
+    "bigtiff strips": (tiff("<", STRIPS, MANY, large=True) + bytes(20_000_000), "5,000,000 strips"),
+    "bmp ends of lines": (bmp(5770, b"\1\0\0\0" * 5770 + b"\0\1"), "packed by runs"),
+    "bmp no pixels": (bmp(64, bytes(20_000_000)), "packed by runs"),
+    "dib ends of lines": (bmp(5770, b"\1\0\0\0" * 5770 + b"\0\1", file_header=False), "packed by runs"),
+    "ppm header": (b"P6\n" + b"#a\n" * 1_000_000 + b"8 8 255\n" + bytes(192), "header is longer"),
+    "ppm comments": (b"P3 8 8 255\n" + b"#a\n" * 1_000_000 + b"0 " * 192, "more than 100 comments"),
+    "jp2 boxes": (saved("JPEG2000")[:12] + b"\0\0\0\10free" * 1_000_000, "more than 10,000 boxes"),
+    "jp2 precincts": (jpeg2000(tiny_precincts, boxes=True), "1,000,122 precincts"),
+    "j2k precincts": (jpeg2000(tiny_precincts), "1,000,122 precincts"),
+    "j2k precincts of a tile": (jpeg2000(tiny_precincts, in_tile=True), "1,000,122 precincts"),
+    "j2k tiles": (tiny_tiles(), "720,000 precincts"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_photo_of_far_too_many_pieces_is_refused_before_it_is_decoded(bomb: str, tmp_path: Path) -> None:
+    content, message = BOMBS[bomb]
+    path = tmp_path / "bomb"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"bomb is no ordinary photo: .*{message}.*Save it"):
+        read_image(path)
+
+
+HONEST = {
+    "jpeg": saved("JPEG"),
+    "progressive jpeg": progressive,
+    "jpeg with a film": progressive + 100 * last_scan + 100 * b"\xff\xda" + 100_000 * b"\xff",
+    "jpeg with a large profile": jpeg((b"\xff\xe2\xff\xff" + bytes(65_533)) * 100),
+    "png": saved("PNG"),
+    "png with a thousand texts": png(*(bombs.chunk(b"tEXt", b"%d\0v" % i) for i in range(1000))),
+    "tiff": saved("TIFF"),
+    "bigtiff": saved("TIFF", big_tiff=True),
+    "packed tiff": saved("TIFF", (3000, 3000), compression="tiff_adobe_deflate"),
+    "webp": saved("WEBP"),
+    "bmp": saved("BMP"),
+    "dib": saved("DIB"),
+    "runs in a bmp": bmp(64, (b"\x40\1\0\0") * 64 + b"\0\1"),
+    "gif": saved("GIF"),
+    "ppm": saved("PPM"),
+    "ppm with comments": b"P3\n# by hand\n1 1\n# white\n255\n255 # red\n255 255\n",
+    "jp2": saved("JPEG2000"),
+    "j2k": saved("JPEG2000", no_jp2=True),
+    "j2k in tiles": saved("JPEG2000", (1000, 1000), no_jp2=True, tile_size=(256, 256)),
+    "j2k in precincts": saved("JPEG2000", (2000, 2000), no_jp2=True, precinct_size=(128, 128), codeblock_size=(32, 32)),
+    "tga": saved("TGA"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", HONEST)
+def test_ordinary_photo_is_read(kind: str) -> None:
+    assert read_image(io.BytesIO(HONEST[kind])).ndim == 3
+
+
+@pytest.mark.parametrize("kind", HONEST)
+def test_file_stays_where_it_was_and_may_be_cut_anywhere(kind: str) -> None:
+    file = io.BytesIO(b"before" + HONEST[kind])
+    file.seek(6)
+    check_claims(file)
+    assert file.tell() == 6
+    for length in range(20, 200, 3):
+        check_claims(io.BytesIO(HONEST[kind][:length]))
+
+
+def test_many_small_code_blocks() -> None:
+    with pytest.raises(ValueError, match="1,687,500 code blocks"):
+        check_claims(io.BytesIO(_blocks()))
+
+
+def _blocks() -> bytes:
+    content = bytearray(saved("JPEG2000", (3000, 3000), no_jp2=True))
+    style = content.index(b"\xff\x52")
+    content[style + 10 : style + 12] = b"\0\0"  # 4 x 4 pixels
+    return bytes(content)
+
+
+def test_maps_and_masks_are_looked_at_as_photos_are(tmp_path: Path) -> None:
+    (tmp_path / "bomb.png").write_bytes(png(bombs.chunk(b"abCd", b"") * 1_000_000))
+    with pytest.raises(InputError, match=r"bomb\.png is not a readable PNG .*chunks"):
+        read_mask(tmp_path / "bomb.png")
+    assert declared_scale(tmp_path / "bomb.png") is None
