@@ -1,10 +1,13 @@
 """Downloads from a real server: whole or not at all, taken up where they stopped."""
 
+import errno
 import hashlib
+import os
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -18,11 +21,49 @@ import numpy as np
 import pytest
 from tests.servers import FileServer
 
-from zoedepth.download import TIMEOUT, download
+from zoedepth.download import TIMEOUT, cache_home, download
 from zoedepth.errors import InputError
 
 CONTENT = np.random.default_rng(0).bytes(300_000)
 OTHER = np.random.default_rng(1).bytes(300_000)
+
+
+class TestCacheHome:
+    @pytest.fixture(autouse=True)
+    def clean(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+
+    def test_is_the_users(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("HOME", str(tmp_path))
+        assert cache_home() == tmp_path / ".cache"
+        monkeypatch.setenv("XDG_CACHE_HOME", "~/mine")
+        assert cache_home() == tmp_path / "mine"
+
+    def test_without_a_home_it_is_temporary(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A container's user whose number has no name: Python leaves "~" as it is."""
+        monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+        assert cache_home().parent == Path(tempfile.gettempdir())
+
+    def test_with_a_home_that_cannot_be_written_to_it_is_temporary(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setenv("HOME", str(tmp_path))
+        monkeypatch.setattr(os, "access", lambda *_: False)
+        assert cache_home().parent == Path(tempfile.gettempdir())
+        (tmp_path / ".cache").mkdir()  # somebody has filled it before the disk became read-only
+        assert cache_home() == tmp_path / ".cache"
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS])
+def test_folder_that_cannot_be_written_to_is_named_with_the_way_out(
+    number: int, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number), str(path.parent))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(InputError, match=f"to {path.parent}: .*XDG_CACHE_HOME"):
+        download("http://localhost/model.safetensors", path)
 
 
 def sha256(content: bytes) -> str:

@@ -185,6 +185,7 @@ def _run(arguments: Sequence[str]) -> int:
     name, *rest = arguments
     if name not in COMMANDS:
         raise no_such("command", name, COMMANDS)
+    _give_a_cache()
     command = COMMANDS[name]
     function = command.load()
     if command.reads_itself:
@@ -192,6 +193,14 @@ def _run(arguments: Sequence[str]) -> int:
     from zoedepth.commands.options import call
 
     return call(function, rest, prog=f"zoedepth {name}", common=command.common)
+
+
+def _give_a_cache() -> None:
+    """Tell all libraries where files are kept for a user without a home: they would make a folder called "~" here."""
+    if not os.environ.get("XDG_CACHE_HOME") and not os.path.isdir(os.path.expanduser("~/.cache")):
+        from zoedepth.download import cache_home
+
+        os.environ["XDG_CACHE_HOME"] = str(cache_home())
 
 
 def _accept_all_letters(stream: object) -> None:

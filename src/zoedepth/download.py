@@ -1,9 +1,12 @@
 """Download files from the web: whole or not at all, going on where an interrupted download stopped."""
 
+import errno
 import hashlib
 import json
 import logging
+import os
 import shutil
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from http import HTTPStatus
@@ -29,6 +32,22 @@ _WORTH_A_LINE = 1_000_000
 """Bytes from which a download is logged; smaller files arrive before anybody wonders."""
 
 _log = logging.getLogger("zoedepth")
+
+
+def cache_home() -> Path:
+    """Return the folder for files that can be fetched again: ``XDG_CACHE_HOME``, else ``~/.cache``.
+
+    A user without a home, or with one that cannot be written to, as in containers, has one in the folder for temporary
+    files instead.
+    """
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(os.path.expanduser(given))
+    home = Path(os.path.expanduser("~"))  # unlike Path.home, it raises nothing: without a home it gives "~"
+    cache = home / ".cache"
+    if cache.is_dir() or (home.is_absolute() and os.access(home, os.W_OK)):
+        return cache
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    return Path(tempfile.gettempdir()) / f"zoedepth-{user}"
 
 
 def download(
@@ -76,6 +95,11 @@ def download(
     except InputError:
         raise
     except (OSError, HTTPException, ValueError) as error:  # ValueError: an address or a header that makes no sense
+        if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise InputError(
+                f"cannot download {name} to {path.parent}: {error.strerror}. Set XDG_CACHE_HOME to a folder that you "
+                "can write to, or give the path of the file"
+            ) from error
         reason = error.reason if type(error) is URLError else error
         raise InputError(
             f"cannot download {name} from {url}: {reason}. Check the address, the connection and the disk. Or download "

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.stored import MAX_NESTING, parse_json, read_json, read_numbers, read_text
+from zoedepth.stored import MAX_NESTING, parse_json, read_json, read_numbers, read_text, readable, to_json
 
 
 def test_numbers(tmp_path: Path) -> None:
@@ -58,3 +58,18 @@ def test_length(tmp_path: Path) -> None:
         file.truncate(10**12)  # takes no room on the disk
     with pytest.raises(InputError, match=r"a\.json is longer than 1,048,576 bytes"):
         read_json(tmp_path / "a.json")
+
+
+def test_names_of_files_can_be_written_whatever_their_bytes_are() -> None:
+    """Bytes as Python gives them: of UTF-8 under an ASCII locale, and of Latin-1 under any."""
+    for name, written in (
+        (b"k\xc3\xa4se.jpg".decode("ascii", "surrogateescape"), "käse.jpg"),
+        (b"k\xe4se.jpg".decode("utf-8", "surrogateescape"), "k\\xe4se.jpg"),
+        ("客厅.jpg", "客厅.jpg"),
+    ):
+        assert readable(name) == written
+        text = to_json({name: [(name, None)], "number": 1.5})
+        assert text.isascii()
+        assert parse_json(text, "text") == {written: [[written, None]], "number": 1.5}
+    with pytest.raises(ValueError, match="JSON"):
+        to_json([float("nan")])

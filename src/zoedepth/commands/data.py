@@ -117,6 +117,7 @@ def check(
     from zoedepth.checking import contact_sheet
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
+    from zoedepth.stored import to_json
     from zoedepth.train.log import Ticker
 
     if sheet is not None and sheet.suffix.lower() not in PICTURE_SUFFIXES:
@@ -137,7 +138,7 @@ def check(
     path = str(dataset.root if isinstance(dataset, PublishedDataset) else getattr(dataset, "path", what))
     used = dataset.split if isinstance(dataset, PublishedDataset) else None
     if json_:
-        print(json.dumps(_record(report, about, path=path, split=used)))
+        print(to_json(_record(report, about, path=path, split=used)))
     else:
         _print(report, about, path=path, split=used)
     if sheet is not None and report.readable:

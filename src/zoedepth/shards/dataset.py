@@ -18,7 +18,7 @@ from torch.utils.data import Dataset
 from zoedepth.data.facts import Facts, parse_facts, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
-from zoedepth.download import download
+from zoedepth.download import cache_home, download
 from zoedepth.errors import InputError
 from zoedepth.images import read_image
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
@@ -33,7 +33,7 @@ _MAX_OPEN = 64
 
 def cache_folder() -> Path:
     """Return the folder where shards from the web are kept."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "zoedepth" / "shards"
+    return cache_home() / "zoedepth" / "shards"
 
 
 def find_shards(folder: Path) -> list[Path]:
@@ -76,6 +76,8 @@ class ShardDataset(Dataset[Sample]):
             self._open_url(str(path), cache)
         else:
             self._open_path(Path(path))
+        self.max_depth = self._defaults.max_depth
+        """Metres from which on depth is unknown, where this is said for all samples."""
         self._starts = np.cumsum([0, *map(len, self.index.shards)])
         self._files = _Files()
 

@@ -21,7 +21,16 @@ from zoedepth.stored.maps import (
     read_png_with_text,
     read_stored,
 )
-from zoedepth.stored.texts import MAX_NESTING, MAX_TEXT, parse_json, read_json, read_numbers, read_text
+from zoedepth.stored.texts import (
+    MAX_NESTING,
+    MAX_TEXT,
+    parse_json,
+    read_json,
+    read_numbers,
+    read_text,
+    readable,
+    to_json,
+)
 
 __all__ = [
     "DEPTH_SUFFIXES",
@@ -48,4 +57,6 @@ __all__ = [
     "read_png_with_text",
     "read_stored",
     "read_text",
+    "readable",
+    "to_json",
 ]

@@ -1,6 +1,7 @@
-"""Small texts and JSON, bounded in length, depth and value."""
+"""Small texts and JSON: read with bounds on length, depth and value; written so that anything can read them."""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,35 @@ def parse_json(content: str | bytes, where: str, *, max_bytes: int = MAX_TEXT) -
     if not isinstance(value, dict):
         raise InputError(f"{where}: not a JSON object, but a {type(value).__name__}. Write {{...}}")
     return value
+
+
+def readable(text: str) -> str:
+    """Return a text that can be written as UTF-8, which names of files need not be.
+
+    Python keeps the bytes of a name that the system's encoding does not know as lone surrogates, which no file and few
+    readers of JSON take. Where these bytes are UTF-8, as under an ASCII locale, they become its letters; others are
+    spelt out: ``caf\\xe9.jpg``.
+    """
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def to_json(values: object, *, indent: int | None = None) -> str:
+    """Return values as JSON in ASCII, with every text in it as ``readable`` gives it.
+
+    Raises:
+        ValueError: a number is NaN or infinite, which JSON does not have.
+    """
+    return json.dumps(_readable(values), indent=indent, allow_nan=False)
+
+
+def _readable(values: object) -> object:
+    if isinstance(values, str):
+        return readable(values)
+    if isinstance(values, Mapping):
+        return {_readable(key): _readable(value) for key, value in values.items()}
+    if isinstance(values, list | tuple):
+        return [_readable(value) for value in values]
+    return values
 
 
 def _read_small(path: Path, max_bytes: int) -> bytes:

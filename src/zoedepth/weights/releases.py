@@ -4,6 +4,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from zoedepth.download import cache_home
+
 ASSETS = Path(__file__).parents[1] / "assets"
 
 _ZOEDEPTH = "https://github.com/isl-org/ZoeDepth/releases/download/v1.0"
@@ -82,6 +84,6 @@ RELEASES: dict[str, Release] = {
 
 def download_folder() -> Path:
     """Return the folder where torch.hub keeps checkpoints: files that the original downloaded are found there."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache")
-    home = Path(os.environ.get("TORCH_HOME") or cache / "torch")
-    return home.expanduser() / "hub" / "checkpoints"
+    given = os.environ.get("TORCH_HOME")
+    home = Path(os.path.expanduser(given)) if given else cache_home() / "torch"
+    return home / "hub" / "checkpoints"
