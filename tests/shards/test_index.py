@@ -3,10 +3,12 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from zoedepth.errors import InputError
 from zoedepth.shards.dataset import ShardDataset
+from zoedepth.shards.index import Index, Shard, read_index
 
 
 class TestIndex:
@@ -50,6 +52,19 @@ class TestIndex:
         (shards / "index.json").write_text(text)
         with pytest.raises(InputError, match=r"index\.json"):
             ShardDataset(shards / "index.json")
+
+    @pytest.mark.parametrize("value", ["[]", "{}", '"aaa"', "257"])
+    def test_index_of_millions_of_values(self, shards: Path, value: str):
+        """Twenty million brackets took 17 s and 1.6 GB."""
+        (shards / "index.json").write_text('{"a":[' + f"{value}," * 2_500_000 + "1]}")
+        with pytest.raises(InputError, match=r"index\.json is no index of shards, or one of more than two million"):
+            ShardDataset(shards)
+
+    def test_index_of_a_million_samples_is_read(self, tmp_path: Path):
+        offsets = np.arange(1001) * 10**6
+        index = Index([Shard(f"{number}.tar", offsets, "a" * 64) for number in range(1000)], ["indoor"], ["depth"])
+        (tmp_path / "index.json").write_text(index.to_json())
+        assert sum(map(len, read_index(tmp_path / "index.json").shards)) == 1_000_000
 
     def test_offsets_that_point_elsewhere_are_an_error_that_names_shard_and_sample(self, shards: Path):
         record = json.loads((shards / "index.json").read_text())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, features
 from tests import bombs
 
 from zoedepth.stored import read_depth
@@ -71,6 +71,9 @@ def write_bombs(folder: Path) -> list[list[str]]:
     found = [["read_pfm" if name.endswith("pfm") else "read_depth", str(folder / name)] for name in files]
     found += [["read_mask", str(folder / "zeros.png")], ["read_png_with_text", str(folder / "text.png")],
               ["read_image", str(folder / "tile.tif")], ["read_image", str(folder / "zeros.png")]]  # fmt: skip
+    for suffix in ("webp", "jp2", "avif") if features.check("avif") else ("webp", "jp2"):
+        Image.new("RGB", (5200, 5200)).save(folder / f"flat.{suffix}")  # decoders that keep several copies
+        found.append(["read_image", str(folder / f"flat.{suffix}")])
     if importlib.util.find_spec("OpenEXR"):
         bombs.exr(folder / "claims.exr", 30_000, 30_000)
         found.append(["read_depth", str(folder / "claims.exr")])

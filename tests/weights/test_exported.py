@@ -126,6 +126,16 @@ def test_graph_that_would_unpack_to_gigabytes_is_not_run(tmp_path: Path, bomb: s
         load_model(path)
 
 
+def test_graph_that_grows_when_it_runs_is_an_error_that_names_it(tmp_path: Path):
+    """The runtime itself refuses 8 GB."""
+    many = helper.make_tensor("times", TensorProto.INT64, [4], [1, 1, 400, 400])
+    times = helper.make_node("Constant", [], ["times"], value=many)
+    tile = helper.make_node("Tile", ["pixel_values", "times"], ["big"])
+    model = load_exported(onnx_file(tmp_path / "bomb.onnx", times, tile, outputs=("big",)))
+    with pytest.raises(InputError, match=r"bomb\.onnx cannot be run: .*Tile"):
+        model(torch.zeros(1, 3, 64, 64))
+
+
 def test_loops_are_not_run(tmp_path: Path):
     inner = helper.make_graph([], "inner", [], [helper.make_tensor_value_info("many", TensorProto.INT64, [2])])
     true = helper.make_node("Constant", [], ["true"], value=helper.make_tensor("true", TensorProto.BOOL, [], [True]))

@@ -20,7 +20,8 @@ from zoedepth.stored import parse_json
 INDEX_FILE = "index.json"
 
 _FORMAT = "zoedepth shards 1"
-_MAX_INDEX = 1 << 26
+# A million samples in a thousand shards take 12 MB; each sample is a number, and each shard two brackets and six texts.
+_MAX_INDEX, _MOST = 1 << 25, {b",": 2_000_000, b"[": 100_000, b"{": 100_000, b'"': 1_200_000}
 _SHARD_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,200}\.tar")
 
 
@@ -75,6 +76,12 @@ class Index:
         Raises:
             InputError: the text is not an index, or contradicts itself.
         """
+        for sign, most in _MOST.items():  # a bracket of two bytes is a list of sixty
+            if content.count(sign) > most:
+                raise InputError(
+                    f"{where} is no index of shards, or one of more than two million samples: it has more than "
+                    f"{most:,} {sign.decode()}. Spread the shards over several folders"
+                )
         record = parse_json(content, where, max_bytes=_MAX_INDEX)
         if record.get("format") != _FORMAT:
             raise InputError(f"{where} is no index of shards: its format is {record.get('format')!r}, not {_FORMAT!r}")

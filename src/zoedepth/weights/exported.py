@@ -78,6 +78,7 @@ class OnnxModel(ExportedModel):
             import onnxruntime
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
+        self.path = path
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
@@ -97,7 +98,10 @@ class OnnxModel(ExportedModel):
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name; see ``ExportedModel``."""
         names = [name for name in self.names if std or name != STD]
-        found: Any = self.session.run(names, dict(inputs))
+        try:
+            found: Any = self.session.run(names, dict(inputs))
+        except Exception as error:  # its errors share no class
+            raise InputError(f"{self.path} cannot be run: {str(error)[:300]}. Export the model again") from error
         return dict(zip(names, found, strict=True))
 
 
@@ -140,7 +144,10 @@ class OpenVinoModel(ExportedModel):
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name; see ``ExportedModel``. Several threads may call it at once."""
         compiled = self._compiled_for(inputs[INPUT].shape, std=std)
-        results: Any = compiled.create_infer_request().infer(dict(inputs))
+        try:
+            results: Any = compiled.create_infer_request().infer(dict(inputs))
+        except Exception as error:  # a RuntimeError of C++, mostly
+            raise InputError(f"{self.path} cannot be run: {str(error)[:300]}. Export the model again") from error
         return {output.get_any_name(): np.array(results[output]) for output in compiled.outputs}
 
     def _compiled_for(self, shape: tuple[int, ...], *, std: bool) -> Any:
@@ -213,7 +220,9 @@ def load_exported(
 ) -> ExportedModel:
     """Load a file that ``zoedepth export`` wrote. ``load_model`` does it too; only here threads can be chosen.
 
-    Such files hold no code: both runtimes read a graph of operations that they know.
+    Such files hold no code: both runtimes read a graph of operations that they know. A graph whose constants ask for
+    far more memory than its file has, or that has loops, is refused before it is run. One that multiplies the size of
+    the photo is not: run files of strangers where the memory is limited (``ulimit -v``).
 
     Args:
         path: .onnx file, or OpenVINO's .xml with its .bin beside it.

@@ -20,6 +20,11 @@ MAX_PICKLE_BYTES = 2_000_000
 """Largest description of a checkpoint (names, shapes, numbers); the original's are 0.3 MB, with an optimizer 1 MB."""
 
 
+MAX_HEADER_BYTES = 1 << 20
+"""Largest header of a safetensors file; that of the largest model here has 0.1 MB."""
+_MAX_READS = 700_000  # pieces of a pickle; 900 weights take 46,000, and with AdamW's state 220,000
+
+
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Return the named tensors of a safetensors file or a ``torch.save`` archive, and the texts in its header.
 
@@ -46,6 +51,13 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 
 
 def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    with path.open("rb") as file:
+        length = int.from_bytes(file.read(8), "little")
+    if MAX_HEADER_BYTES < length <= path.stat().st_size:  # a longer one is damage, as the library says
+        raise InputError(
+            f"{path} has a header of {length:,} bytes, more than {MAX_HEADER_BYTES:,}: it holds no model that is known "
+            "here. Save model.state_dict() alone"
+        )
     try:
         with safe_open(str(path), framework="pt") as file:
             texts = file.metadata() or {}
@@ -65,6 +77,19 @@ class _Placeholder:
         return self
 
     __call__ = __setstate__ = __setitem__ = append = extend = add = swallow
+
+
+class _Counted(io.BytesIO):
+    """A pickle that counts its steps by the times that it is read."""
+
+    n_read = 0
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read ``size`` bytes."""
+        self.n_read += 1
+        if self.n_read > _MAX_READS:
+            raise ValueError(f"it has more than {_MAX_READS:,} pieces: save model.state_dict() alone")
+        return super().read(size)
 
 
 _NUMPY: list[Any] = [
@@ -189,7 +214,7 @@ def _check_archive(path: Path, size: int) -> None:
         raise InputError(f"{path} is damaged or not whole ({error}): download or copy it again") from error
     try:
         for content in contents:
-            _Rehearsal(io.BytesIO(content)).load()
+            _Rehearsal(_Counted(content)).load()
     except Exception as error:  # a made-up pickle can fail in any way
         raise InputError(
             f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {_first_line(error)}). "
