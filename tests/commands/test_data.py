@@ -46,9 +46,13 @@ def error(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_list_has_every_data_set_with_its_licence_and_page(capsys: pytest.CaptureFixture[str]):
     lines = run(capsys, "list").splitlines()
     for name, dataset in DATASETS.items():
-        (line,) = [line for line in lines if line.startswith(f"│ {name} ")]
-        assert dataset.about.licence in line
-        assert dataset.about.page in line
+        first = next(index for index, line in enumerate(lines) if line.startswith(f"{name} "))
+        title, pairs, licence, page = lines[first : first + 4]
+        assert dataset.about.title in title
+        assert dataset.about.kind in pairs
+        assert dataset.about.licence in licence
+        assert page.strip() == dataset.about.page
+    assert max(len(line) for line in lines if "://" not in line) <= 80
 
 
 def test_list_as_json(capsys: pytest.CaptureFixture[str]):

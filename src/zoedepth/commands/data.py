@@ -58,10 +58,6 @@ def list_(*, markdown: bool = False, json_: Annotated[bool, tyro.conf.arg(name="
         markdown: print the table and the folders for the documentation.
         json_: print one JSON object for each data set, and nothing else.
     """
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
     from zoedepth.datasets import DATASETS
 
     if markdown:
@@ -71,14 +67,12 @@ def list_(*, markdown: bool = False, json_: Annotated[bool, tyro.conf.arg(name="
         for name, dataset in DATASETS.items():
             print(json.dumps({"name": name, **asdict(dataset.about)}))
         return 0
-    table = Table("name", "title", "target", "domain", "pairs", "licence", "page")
     for name, dataset in DATASETS.items():
         about = dataset.about
-        cells = (name, about.title, about.kind, about.domain, _pairs(about), about.licence, about.page)
-        table.add_row(*map(Text, cells))
-    console = Console(highlight=False)
-    console = console if console.is_terminal else Console(highlight=False, width=300)
-    console.print(table)
+        print(f"{name:<18} {about.title}")
+        print(f"    {about.kind}, {about.domain or 'indoor and outdoor'}: {_pairs(about)}")
+        print(f"    licence: {about.licence}")
+        print(f"    {about.page}")
     return 0
 
 
@@ -203,15 +197,11 @@ def _open_own(source: str, split: str | None, *, depth_scale: float | None, doma
 def _print(report: "Report", about: "About | None", *, path: str, split: str | None) -> None:
     """Print the report as a table, then name everything that is wrong."""
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
     console = Console(highlight=False)
-    title = f"{about.title}, split {split}, in {path}" if about else path
-    table = Table(title=Text(title), title_justify="left", show_header=False)
+    _say(console, f"{about.title}, split {split}, in {path}" if about else path)
     for key, value in _rows(report, about):
-        table.add_row(key, Text(value))
-    console.print(table)
+        _say(console, f"  {key:<27} {value}")
     for file in report.missing[:_MOST_NAMED]:
         _say(console, f"missing: {file}")
     if len(report.missing) > _MOST_NAMED:

@@ -32,7 +32,7 @@ def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int
         if release.hub_id:
             print(f"    or {release.hub_id} at Hugging Face")
     if not json_:
-        print("\nLoad one by its name: zoedepth predict --model NAME, or load_model('NAME') in Python.")
-        print("A model that is not here is downloaded once. You can also put its file there by hand:")
+        print("\nUse one: zoedepth predict --model NAME; in Python: load_model('NAME').")
+        print("One that is not here is downloaded once, or put its file there by hand:")
         print(f"    {download_folder()}")
     return 0
