@@ -59,6 +59,15 @@ def test_damaged_block_is_an_error_that_says_where() -> None:
             unpack(damaged, "here")
 
 
+def test_header_of_digits_is_an_error_at_once() -> None:
+    """A shard of 66 kB took 7 s."""
+    header = tarfile.TarInfo("x")
+    header.type, header.size = tarfile.XHDTYPE, 64_512
+    block = header.tobuf(tarfile.USTAR_FORMAT) + b"1" * header.size + pack("0", {"json": b"{}"})
+    with pytest.raises(InputError, match="here: the shard is damaged.*255 digits"):
+        unpack(block, "here")
+
+
 def test_block_with_two_members_of_one_name_or_with_thousands_is_an_error() -> None:
     with pytest.raises(InputError, match=r"here: has two members \.json"):
         unpack(pack("0", {"json": b"{}"}) + pack("1", {"json": b"{}"}), "here")
