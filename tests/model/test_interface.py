@@ -93,6 +93,7 @@ def test_model_knows_the_device_of_its_weights(tiny_config: ModelConfig):
 def test_baseline_checks_its_domain():
     with torch.device("meta"):
         model = build_model(BaselineConfig(BtsNetworkConfig("tf_efficientnet_lite0", width=128), size=(64, 96)))
+        pixels = torch.zeros(1, 3, 64, 96)
     with pytest.raises(InputError, match="domain must hold 1 integers, one an image, from 0 to 0"):
-        model.check(torch.zeros(1, 3, 64, 96), torch.tensor([1]))
-    model.check(torch.zeros(1, 3, 64, 96), torch.tensor([0]))
+        model.check(pixels, torch.tensor([1]))
+    model.check(pixels, torch.tensor([0]))

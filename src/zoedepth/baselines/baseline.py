@@ -52,6 +52,6 @@ class Baseline(DepthModel):
     ) -> DepthOutput:
         """Predict the depth of a batch, as ``ZoeDepth.forward`` does; there is one head."""
         self.check(pixels, domain)
-        head = self.predict((pixels - self.mean) / self.std)
+        head = self.predict(((pixels - self.mean) / self.std).to(self.dtype))
         only = torch.zeros(pixels.shape[0], dtype=torch.long, device=pixels.device)
         return depth_output(head, None, Routing(only, None), size=pixels.shape[-2:], std=return_std, bins=return_bins)

@@ -109,13 +109,14 @@ class BtsDecoder(nn.Module):
         joined = torch.cat([self.up8(x), x8], dim=1)
         x = self.context(self.fuse8(joined), joined)
         depth8 = self.guide8(x)
-        x = self.fuse4(torch.cat([self.up4(x), x4, _every(depth8, 4)], dim=1))
+        x = self.fuse4(torch.cat([self.up4(x), x4, _every(depth8, 4)], dim=1).to(x.dtype))
         depth4 = self.guide4(x)
-        x = self.fuse2(torch.cat([self.up2(x), x2, _every(depth4, 2)], dim=1))
+        x = self.fuse2(torch.cat([self.up2(x), x2, _every(depth4, 2)], dim=1).to(x.dtype))
         depth2 = self.guide2(x)
         x = self.up1(x)
         depth1 = self.guess(x).float().sigmoid()
-        return self.depth(self.fuse1(torch.cat([x, depth1, depth2, depth4, depth8], dim=1))).float().sigmoid()
+        joined = torch.cat([x, depth1, depth2, depth4, depth8], dim=1).to(x.dtype)
+        return self.depth(self.fuse1(joined)).float().sigmoid()
 
 
 class Up(nn.Module):

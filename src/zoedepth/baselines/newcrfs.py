@@ -1,5 +1,8 @@
 """NeWCRFs as its authors built it (Yuan et al. 2022; NeWCRFs ``NewCRFDepth.py``, ``swin_transformer.py``)."""
 
+import functools
+from typing import Any
+
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -66,6 +69,27 @@ class PyramidEncoder(FeatureEncoder):
         ]
 
 
+@functools.cache
+def _pad_first() -> type[Any]:
+    """Make the class of Swin blocks that pad before they shift. It derives from a class of timm."""
+    from timm.models.swin_transformer import SwinTransformerBlock
+
+    class PadFirst(SwinTransformerBlock):
+        def _attn(self, x: Float[Tensor, "batch rows columns channels"]) -> Tensor:
+            rows, columns = x.shape[1:3]
+            return super()._attn(pad_to_windows(x, self.window_size[0]))[:, :rows, :columns]
+
+    PadFirst.__qualname__ = "PadFirst"
+    return PadFirst
+
+
+def __getattr__(name: str) -> type[nn.Module]:
+    """Let pickle find the class by its name, also in a process that has built no network yet."""
+    if name == "PadFirst":
+        return _pad_first()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 def pad_before_shift(network: nn.Module) -> None:
     """Make timm's Swin blocks pad to whole windows before they shift, as NeWCRFs' blocks do, instead of after.
 
@@ -74,11 +98,6 @@ def pad_before_shift(network: nn.Module) -> None:
     """
     from timm.models.swin_transformer import SwinTransformerBlock
 
-    class PadFirst(SwinTransformerBlock):
-        def _attn(self, x: Float[Tensor, "batch rows columns channels"]) -> Tensor:
-            rows, columns = x.shape[1:3]
-            return super()._attn(pad_to_windows(x, self.window_size[0]))[:, :rows, :columns]
-
     for block in network.modules():
         if isinstance(block, SwinTransformerBlock):
-            block.__class__ = PadFirst
+            block.__class__ = _pad_first()

@@ -111,6 +111,11 @@ class DepthModel(nn.Module, ABC):
         """The device of the weights."""
         return next(self.parameters()).device
 
+    @property
+    def dtype(self) -> torch.dtype:
+        """The number type of the weights, to which pixels are converted: float32 unless the caller changed it."""
+        return next((weight.dtype for weight in self.parameters()), torch.float32)
+
     @abstractmethod
     def forward(
         self,
@@ -123,7 +128,8 @@ class DepthModel(nn.Module, ABC):
         """Predict the depth of a batch; an image's result does not depend on the others in its batch.
 
         Args:
-            pixels: RGB in [0, 1]; sides are multiples of ``config.multiple``. Normalised here, not by the caller.
+            pixels: RGB in [0, 1], of any floating-point type; sides are multiples of ``config.multiple``. Normalised
+                here, not by the caller.
             domain: index in ``config.domains`` of the head each image takes; None leaves it to the model.
             return_std: True to return the standard deviation of the bin distribution as well.
             return_bins: True to return the bin centers and their probabilities as well.
@@ -163,11 +169,12 @@ class DepthModel(nn.Module, ABC):
                 f"the sides of pixels must be multiples of {config.multiple}; got {size}. "
                 "Use zoedepth.Predictor, which resizes, or zoedepth.sizes.network_size"
             )
-        if domain is None:
-            return
-        n_domains = len(config.domains)
-        integers = domain.dtype in (torch.int64, torch.int32)
-        if not integers or domain.shape != pixels.shape[:1] or not ((domain >= 0) & (domain < n_domains)).all():
-            raise InputError(
-                f"domain must hold {len(pixels)} integers, one an image, from 0 to {n_domains - 1}; got {domain}"
-            )
+        if domain is not None:
+            n_domains = len(config.domains)
+            integers = domain.dtype in (torch.int64, torch.int32)
+            if not integers or domain.shape != pixels.shape[:1] or not ((domain >= 0) & (domain < n_domains)).all():
+                raise InputError(
+                    f"domain must hold {len(pixels)} integers, one an image, from 0 to {n_domains - 1}; got {domain}"
+                )
+        if pixels.device != self.device:
+            raise InputError(f"pixels are on {pixels.device} and the model is on {self.device}: move one to the other")

@@ -117,6 +117,7 @@ class TransformerClassifier(nn.Module):
         tokens = self.project(bottleneck).flatten(2).transpose(1, 2)
         tokens = F.pad(tokens, (0, 0, 1, 0))  # a class token of zeros, which is not learned
         tokens = tokens + positional_code(tokens.shape[1], tokens.shape[2], device=tokens.device)
+        tokens = tokens.to(self.project.weight.dtype)  # the sum is float32 under autocast, as the weights are
         return self.mlp(self.transformer(tokens)[:, 0])
 
 

@@ -1,5 +1,6 @@
 """Encoders made of timm networks: how such a network is built, and the maps of any of them."""
 
+import functools
 from abc import ABC, abstractmethod
 from typing import Any
 
@@ -88,14 +89,30 @@ class _Float32Training(nn.Conv2d):
         return super().forward(input)
 
 
-def replace_depthwise(network: nn.Module) -> None:
-    """Replace each depthwise convolution by one that trains in float32, with the same weights."""
+@functools.cache
+def _float32_training_same() -> type[nn.Conv2d]:
+    """Make the class of such convolutions that pad as TensorFlow does. It derives from a class of timm."""
     from timm.layers import Conv2dSame
 
     class Float32TrainingSame(_Float32Training, Conv2dSame):
         pass
 
-    twins = {nn.Conv2d: _Float32Training, Conv2dSame: Float32TrainingSame}
+    Float32TrainingSame.__qualname__ = "Float32TrainingSame"
+    return Float32TrainingSame
+
+
+def __getattr__(name: str) -> type[nn.Conv2d]:
+    """Let pickle find the class by its name, also in a process that has built no network yet."""
+    if name == "Float32TrainingSame":
+        return _float32_training_same()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def replace_depthwise(network: nn.Module) -> None:
+    """Replace each depthwise convolution by one that trains in float32, with the same weights."""
+    from timm.layers import Conv2dSame
+
+    twins = {nn.Conv2d: _Float32Training, Conv2dSame: _float32_training_same()}
     for parent in list(network.modules()):
         for name, conv in parent.named_children():
             if isinstance(conv, nn.Conv2d) and type(conv) in twins and conv.groups == conv.in_channels > 1:

@@ -94,7 +94,7 @@ class ZoeDepth(DepthModel):
 
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
         """Encode and decode: the part that stage 1 trains. The maps have the decoder's resolution."""
-        return self.decoder(self.encoder(normalize(pixels)))
+        return self.decoder(self.encoder(normalize(pixels).to(self.dtype)))
 
     def _apply_heads(self, features: HeadFeatures, routing: Routing) -> Iterator[tuple[HeadOutput, Tensor, Routing]]:
         """Apply each head to its own images, or, where the router asks for a mixture, all heads to all images.

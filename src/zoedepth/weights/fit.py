@@ -96,7 +96,8 @@ def _with_buffers(model: DepthModel) -> DepthModel:
     modules = {name.rpartition(".")[0] for name in lost}
     for name, buffer in lost.items():
         parent, _, attribute = name.rpartition(".")
-        setattr(model.get_submodule(parent), attribute, torch.empty_like(buffer, device="cpu"))
+        dtype = torch.float32 if buffer.is_floating_point() else buffer.dtype  # whatever torch's default is
+        setattr(model.get_submodule(parent), attribute, torch.empty_like(buffer, device="cpu", dtype=dtype))
     for name in modules:
         module: Any = model.get_submodule(name)
         module.init_non_persistent_buffers()  # timm's method, and our LogBinomial's

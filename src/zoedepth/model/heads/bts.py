@@ -99,5 +99,6 @@ class BtsHead(nn.Module):
             upsample(guide(level(x)), size)  # the planes are at stride 1, where the last map usually is too
             for guide, level, x in zip(self.guidance, self.levels, features.levels[1:], strict=True)
         ]
-        x = self.depth(self.fuse(torch.cat([features.last, *planes], dim=1)))
+        joined = torch.cat([features.last, *planes], dim=1).to(features.last.dtype)
+        x = self.depth(self.fuse(joined))
         return HeadOutput(self.domain.max_depth * F.sigmoid(x.float()))

@@ -1,6 +1,6 @@
 """From a distribution over bins to depth: expected depth (Eq. 1), log-binomial (Eq. 4), softmax (ablation)."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -172,12 +172,21 @@ class LogBinomial(nn.Module):
         self.min_temperature = min_temperature
         self.max_temperature = max_temperature
         self.coefficients: Tensor
-        self.register_buffer("coefficients", torch.empty(n_bins), persistent=False)
+        self.register_buffer("coefficients", torch.empty(n_bins, dtype=torch.float32), persistent=False)
         self.init_non_persistent_buffers()
 
     def init_non_persistent_buffers(self) -> None:
         """Fill the buffers that no checkpoint holds, after the module was built without memory (timm's name for it)."""
         self.coefficients.copy_(log_binomial_coefficients(len(self.coefficients)))
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> nn.Module:
+        """Keep the coefficients in float32, whatever ``model.half()`` and the like make of the weights.
+
+        They reach 40 and are exponents: bfloat16 would round them by an eighth.
+        """
+        super()._apply(fn, recurse)
+        self.coefficients = log_binomial_coefficients(len(self.coefficients)).to(self.coefficients.device)
+        return self
 
     def forward(self, maps: Sequence[Tensor], centers: Float[Tensor, "batch bins _ _"]) -> BinDistribution:
         """Predict the distribution over bins at these centers.
