@@ -64,7 +64,7 @@ def test_header_of_digits_is_an_error_at_once() -> None:
     header = tarfile.TarInfo("x")
     header.type, header.size = tarfile.XHDTYPE, 64_512
     block = header.tobuf(tarfile.USTAR_FORMAT) + b"1" * header.size + pack("0", {"json": b"{}"})
-    with pytest.raises(InputError, match="here: the shard is damaged.*255 digits"):
+    with pytest.raises(InputError, match=r"here: the shard is damaged.*255 digits"):
         unpack(block, "here")
 
 
