@@ -17,7 +17,8 @@ LEVELS = np.array([[0, 500, 1000], [2000, 1, 65535]], np.uint16)
 
 def make(values: np.ndarray | None, scale: float | None = None, **options) -> Sample:
     options = {"kind": "depth", "facts": Facts(domain="indoor"), "name": "a", "files": ("a.jpg", "a.png"), **options}
-    return to_sample(PHOTO, None if values is None else StoredMap(values, scale), **options)
+    photo = options.pop("photo", PHOTO)
+    return to_sample(photo, None if values is None else StoredMap(values, scale), **options)
 
 
 def test_sample_has_photo_facts_and_name() -> None:
@@ -97,3 +98,48 @@ def test_sizes_must_agree() -> None:
         make(LEVELS.T, 1)
     with pytest.raises(InputError, match=r"a\.jpg is \(2, 3\) and the mask of a\.png is \(1, 3\)"):
         make(LEVELS, 1, mask=np.ones((1, 3), bool))
+
+
+def test_smaller_map_becomes_points_of_the_photo() -> None:
+    values = np.array([[500, 1000], [0, 4000]], np.uint16)
+    photo = np.zeros((4, 4, 3), np.uint8)
+    mask = np.array([[True, False], [True, True]])
+    for given, expected in (
+        (None, {(1, 1): 0.5, (1, 3): 1.0, (3, 3): 4.0}),
+        (mask, {(1, 1): 0.5, (3, 3): 4.0}),  # of the size of the map
+        (np.tri(4, k=-1, dtype=bool).T, {(1, 3): 1.0}),  # of the size of the photo
+    ):
+        sample = make(values, 1000, photo=photo, mask=given)
+        known = {
+            (row, column): sample.target[0, row, column].item() for row, column in sample.mask[0].nonzero().tolist()
+        }
+        assert known == expected
+
+
+def test_zero_disparity_between_points_is_not_known() -> None:
+    values, photo, mask = np.array([[0.0, 2.0]]), np.zeros((2, 4, 3), np.uint8), np.ones((2, 4), bool)
+    sample = make(values, photo=photo, mask=mask, kind="disparity", mask_decides=True)
+    assert sample.mask[0].nonzero().tolist() == [[1, 1], [1, 3]]
+
+
+def test_mask_of_neither_size_is_an_error() -> None:
+    with pytest.raises(InputError, match=r"the mask of a\.png is \(1, 2\).*photo, \(4, 8\), or of the map, \(2, 4\)"):
+        make(np.ones((2, 4)), photo=np.zeros((4, 8, 3), np.uint8), mask=np.ones((1, 2), bool))
+
+
+@pytest.mark.parametrize("orientation", [2, 3, 4])
+def test_photo_that_exif_turns_upside_down_is_an_error_unless_the_map_must_lie_alike(orientation: int) -> None:
+    word = rf"a\.jpg is turned upright by its EXIF orientation {orientation}, and nothing says whether {{}} is, too"
+    with pytest.raises(InputError, match=word.format(r"a\.png")):
+        make(LEVELS, facts=Facts(1000), orientation=orientation)
+    assert make(LEVELS, 1000, orientation=orientation).mask.any()  # says its scale: a prediction of this package
+    with pytest.raises(InputError, match=word.format(r"the mask of a\.png")):
+        make(LEVELS, 1000, mask=np.ones((2, 3), bool), orientation=orientation)
+    assert not make(None, orientation=orientation).mask.any()
+
+
+def test_photo_that_exif_turns_by_90_degrees_shows_how_the_map_lies() -> None:
+    assert make(LEVELS, facts=Facts(1000), orientation=6).mask.any()
+    square = np.zeros((2, 2, 3), np.uint8)
+    with pytest.raises(InputError, match="EXIF orientation 6, and nothing says"):
+        make(LEVELS[:, :2], facts=Facts(1000), photo=square, orientation=6)

@@ -25,6 +25,7 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from zoedepth.data.facts import Facts, read_defaults
+from zoedepth.data.fit import read_orientation
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
 from zoedepth.data.sample import Sample, Target
@@ -74,7 +75,9 @@ class PairDataset(Dataset[Sample]):
         path = Path(path)
         folder = path if path.is_dir() else path.parent
         defaults = Facts(depth_scale, domain, max_depth=max_depth).over(read_defaults(folder))
-        self._default_scale, self._max_depth = defaults.depth_scale, defaults.max_depth
+        self._default_scale = defaults.depth_scale
+        self.max_depth = defaults.max_depth
+        """Metres from which on depth is unknown, where this is said for all pairs."""
         found = find_list(path, split) if path.is_dir() else path
         self._root = folder if root is None else Path(root)
         if found is None and find_layout(path):
@@ -112,10 +115,11 @@ class PairDataset(Dataset[Sample]):
             read_image(pair.image),
             None if pair.target is None else read_stored(pair.target),
             kind=pair.kind,
-            facts=Facts(pair.scale, pair.domain, pair.camera, pair.max_depth or self._max_depth),
+            facts=Facts(pair.scale, pair.domain, pair.camera, pair.max_depth or self.max_depth),
             default_scale=self._default_scale,
             mask=None if pair.mask is None else read_mask(pair.mask),
             name=_name(pair.image, self._root),
+            orientation=read_orientation(pair.image),
             files=(pair.image, pair.target),
         )
 

@@ -5,6 +5,7 @@ import torch
 from jaxtyping import Bool, Float32
 
 from zoedepth.data.facts import Facts
+from zoedepth.data.fit import check_fit, says_how_it_lies, spread
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
@@ -20,6 +21,7 @@ def to_sample(
     default_scale: float | None = None,
     mask: Bool[np.ndarray, "height width"] | None = None,
     mask_decides: bool = False,
+    orientation: int = 1,
     name: str,
     files: tuple[object, object],
 ) -> Sample:
@@ -31,23 +33,31 @@ def to_sample(
 
     Args:
         photo: uint8 (height, width, 3).
-        stored: the map, of the size of the photo; None where nothing is known.
+        stored: the map, of the size of the photo, or smaller by the same factor both ways: then its values become
+            points of the photo. None where nothing is known.
         kind: "depth" or "disparity".
         facts: the facts about this photo.
         default_scale: the stored value of one metre for files of whole numbers of which nobody says it.
-        mask: False where the target is not valid.
+        mask: False where the target is not valid; of the size of the photo or of the map.
         mask_decides: disparity that is not positive is known, too, where the mask (if there is one) says so.
+        orientation: the EXIF orientation by which the photo was turned upright; see ``zoedepth.data.fit``.
         name: the name of the sample.
         files: names of the photo and of the target for messages.
 
     Raises:
-        InputError: sizes differ, nobody says the unit, or depth has 8 bits a pixel.
+        InputError: sizes do not fit, nothing says whether the map was turned with the photo, nobody says the unit, or
+            depth has 8 bits a pixel.
     """
-    size = photo.shape[:2]
-    for what, found in (("", None if stored is None else stored.values), ("the mask of ", mask)):
-        if found is not None and found.shape != size:
+    size = photo.shape[0], photo.shape[1]
+    if stored is not None:
+        # A depth map that says its scale is of this package, which predicts the upright photo.
+        _check(size, stored.values, files, orientation, lies_alike=stored.scale is not None)
+    if mask is not None:
+        _check(size, mask, (files[0], f"the mask of {files[1]}"), orientation)
+        if stored is not None and mask.shape not in (size, stored.values.shape):
             raise InputError(
-                f"{files[0]} is {size} and {what}{files[1]} is {found.shape} (height, width): sizes must agree"
+                f"the mask of {files[1]} is {mask.shape} (height, width): it must have the size of the photo, {size}, "
+                f"or of the map, {stored.values.shape}"
             )
     target = np.zeros(size, np.float32)
     if stored is not None:
@@ -59,11 +69,14 @@ def to_sample(
         default = default_scale if stored.values.dtype.kind != "f" else None  # a list of PNGs may have floats in it
         scale = 1.0 if kind == "disparity" else facts.depth_scale or stored.scale or default
         target = _divided(stored.values, scale, files[1])
-    known = np.isfinite(target) & (mask if mask is not None else target > 0)
+    known = np.isfinite(target)
     if kind == "depth" and facts.max_depth is not None:
         known &= target < facts.max_depth
-    if not (mask_decides and kind == "disparity"):
+    if mask is None or not (mask_decides and kind == "disparity"):
         known &= target > 0
+    target, known = spread(target, size), spread(known, size)
+    if mask is not None:
+        known &= spread(mask, size)
     return Sample(
         image=torch.tensor(photo).permute(2, 0, 1).float() / 255,
         target=torch.from_numpy(np.where(known, target, np.float32(0)))[None],
@@ -73,6 +86,23 @@ def to_sample(
         name=name,
         camera=facts.camera,
     )
+
+
+def _check(
+    size: tuple[int, int],
+    found: np.ndarray,
+    names: tuple[object, object],
+    orientation: int,
+    *,
+    lies_alike: bool = False,
+) -> None:
+    """Check that a map fits its photo, and lies as the photo does."""
+    check_fit(size, found.shape, names=names, orientation=orientation)
+    if not (lies_alike or says_how_it_lies(size, orientation)):
+        raise InputError(
+            f"{names[0]} is turned upright by its EXIF orientation {orientation}, and nothing says whether {names[1]} "
+            "is, too. Save the photo without the orientation, so that both lie alike"
+        )
 
 
 def _divided(values: np.ndarray, scale: float | None, name: object) -> Float32[np.ndarray, "height width"]:

@@ -1,0 +1,103 @@
+"""Do a photo and a map about it lie alike and fit each other? A smaller map becomes points of the photo."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from PIL import Image
+
+from zoedepth.errors import InputError
+from zoedepth.stored import Memory
+
+Size = Sequence[int]
+
+_ORIENTATION_TAG = 0x0112  # EXIF 2.3
+_ALIKE = 0.01
+"""Relative difference up to which proportions are the same: a camera's depth has pixels of some photo pixels' size."""
+_MUCH = 1.5
+"""Factor from which on a map is smaller because its camera is, and not because it was cropped."""
+
+Values = TypeVar("Values", bound=np.ndarray)
+
+
+def read_orientation(photo: Path | Memory) -> int:
+    """Return the EXIF orientation by which ``read_image`` turns a photo upright; 1 is upright already."""
+    try:
+        with Image.open(photo) as picture:  # its header only, of a file that was read already
+            orientation = picture.getexif().get(_ORIENTATION_TAG, 1)
+    except Exception:  # broken EXIF says nothing, and ``read_image`` does not turn such a photo either
+        return 1
+    return orientation if orientation in range(2, 9) else 1
+
+
+def says_how_it_lies(size: Size, orientation: int) -> bool:
+    """Return True if a map of the same size must lie as the photo does.
+
+    Args:
+        size: (height, width) of the photo when it stands upright.
+        orientation: the EXIF orientation by which it was turned.
+    """
+    return orientation == 1 or (orientation >= 5 and size[0] != size[1])  # turned by 90 degrees, sizes would differ
+
+
+def check_fit(size: Size, found: Size, *, names: tuple[object, object], orientation: int = 1) -> None:
+    """Check that a map has the size of its photo, or is smaller by a factor.
+
+    Args:
+        size: (height, width) of the photo when it stands upright.
+        found: (height, width) of the map.
+        names: of the photo and of the map, for the message.
+        orientation: the EXIF orientation by which the photo was turned.
+
+    Raises:
+        InputError: neither; the message says how they differ, and what to do.
+    """
+    (height, width), (h, w) = size, found
+    if (h, w) == (height, width):
+        return
+    alike, across = (abs(h * x - w * y) <= _ALIKE * h * x for y, x in ((height, width), (width, height)))
+    if alike and height >= _MUCH * h:
+        return
+    if across and not alike:
+        turned = (
+            f"EXIF orientation {orientation} turns the photo by 90 degrees, and the map lies as the sensor does. Turn "
+            "the map, too, or take the orientation out of the photo"
+            if orientation >= 5
+            else "one of them lies on its side. Turn it by 90 degrees"
+        )
+    elif alike and h < height:
+        turned = f"the map is a little smaller, cropped or resized. Crop or resize the photo to {w} x {h} likewise"
+    elif alike:
+        turned = (
+            f"the map is larger. Give the photo in its original size, or resize the map to {width} x {height} without "
+            "mixing its values (nearest neighbour)"
+        )
+    else:
+        turned = (
+            "their proportions differ, so one of them is cropped. Crop the other one likewise; the map may then be "
+            f"smaller than the photo by a factor of {_MUCH} or more"
+        )
+    raise InputError(
+        f"{names[0]} is {(height, width)} and {names[1]} is {(h, w)} (height, width): sizes must agree, but {turned}"
+    )
+
+
+def spread(values: Values, size: Size) -> Values:
+    """Put the values of a smaller map where they are in the photo; between them are zeros.
+
+    Nothing is mixed or made up: depth between two values may be that of neither. The map shows what the photo shows, so
+    the middle of each of its pixels has a place in the photo.
+
+    Args:
+        values: (height, width), of a size that ``check_fit`` lets pass.
+        size: (height, width) of the photo.
+    """
+    if values.shape == tuple(size):
+        return values
+    rows, columns = (
+        ((np.arange(n) + 0.5) * side / n).astype(np.int64) for n, side in zip(values.shape, size, strict=True)
+    )
+    points = np.zeros(tuple(size), values.dtype)
+    points[np.ix_(rows, columns)] = values
+    return points  # type: ignore[return-value]
