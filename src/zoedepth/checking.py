@@ -2,17 +2,20 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
+from zoedepth.data.integrity import find_broken
 from zoedepth.data.pairs import PairDataset
+from zoedepth.data.plausible import Doubts, doubts, glance
 from zoedepth.data.sample import Sample, Samples, Target
 from zoedepth.datasets.published import PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
+from zoedepth.synthetic import SyntheticScenes
 
 N_READ = 50
 """Pairs that are read unless all are asked for: enough for the range of depth, in seconds rather than hours."""
@@ -53,6 +56,8 @@ class Report:
     """Pairs that have no depth, as the set's own list says."""
     missing: tuple[Path, ...]
     """Files that should be there and are not."""
+    n_tried: int
+    """Number of pairs whose files were looked at or read."""
     readable: tuple[int, ...]
     """Indices of the pairs that were read, evenly spread over the pairs with all their files."""
     unreadable: tuple[str, ...]
@@ -67,11 +72,17 @@ class Report:
     """Names of the pairs that were read and have no known pixel."""
     n_cameras: int
     """Number of pairs that were read and whose camera is known."""
+    doubts: Doubts = field(default_factory=Doubts)
+    """Findings about the depth that are not plausible."""
+    unit_known: bool = False
+    """True where the reader knows the unit: published data, rendered scenes."""
 
     @property
-    def n_tried(self) -> int:
-        """Number of pairs that were read or could not be."""
-        return len(self.readable) + len(self.unreadable)
+    def notes(self) -> list[str]:
+        """Sentences about things to look at, which may be right."""
+        mark = self.doubts.mark
+        found = [] if mark is None or (mark.certain and not self.unit_known) else [str(mark)]
+        return found + (self.doubts.unlikely if self.unit_known else [])
 
     @property
     def problems(self) -> list[str]:
@@ -85,25 +96,42 @@ class Report:
             found.append(f"{len(self.unreadable):,} of {self.n_tried:,} pairs cannot be read")
         if self.values is None:
             found.append("no pixel of any pair has a known depth")
-        return found
+        return found + self.implausible
+
+    @property
+    def implausible(self) -> list[str]:
+        """Those of the problems that are about the values of depth."""
+        mark = self.doubts.mark
+        marks = [str(mark)] if mark is not None and mark.certain else []
+        return self.doubts.impossible + ([] if self.unit_known else self.doubts.unlikely + marks)
 
 
-def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[int]], Iterable[int]] = iter) -> Report:
-    """Read some or all pairs of a data set, and report what there is.
+def check(
+    dataset: Samples,
+    *,
+    every: bool = False,
+    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+    looking: Callable[[int, int], None] = lambda done, total: None,
+) -> Report:
+    """Look at the files of a data set, read some or all of its pairs, and report what there is.
 
     Args:
-        dataset: the data; open it with ``allow_missing`` to have everything reported that is missing.
+        dataset: the data; open it with ``allow_missing`` and ``keep_missing`` to have everything reported that is
+            missing.
         every: read every pair, not just ``N_READ`` of them.
         track: gets the indices to read, gives them on, and shows progress.
+        looking: called while files are looked at, with the number of pairs that are done, and of all.
 
     Raises:
         MissingExtraError: a format needs a library that is not installed.
     """
     complete, missing, n_without_truth = _survey(dataset)
-    chosen = complete if every else evenly(complete, N_READ)
+    whole = set(complete)
+    broken = {} if every else {i: text for i, text in find_broken(dataset, progress=looking).items() if i in whole}
+    chosen = complete if every else evenly([i for i in complete if i not in broken], N_READ)
     sizes: Counter[tuple[int, int]] = Counter()
     kinds: set[Target] = set()
-    readable, unreadable, empty, shares, spread = [], [], [], [], []
+    readable, unreadable, empty, shares, spread, glances = [], list(broken.values()), [], [], [], []
     least, greatest, n_cameras = np.inf, -np.inf, 0
     for index in track(chosen):
         try:
@@ -123,6 +151,8 @@ def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[in
             continue
         least, greatest = min(least, float(values.min())), max(greatest, float(values.max()))
         spread.append(values[:: max(1, values.size // _VALUES_PER_PAIR)])
+        if sample.kind == "depth":
+            glances.append(glance(_depth_file(dataset, index, sample), sample.domain, values))
     found = None
     if spread:
         low, median, high = (float(value) for value in np.percentile(np.concatenate(spread), (1, 50, 99)))
@@ -133,6 +163,7 @@ def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[in
         n_expected=dataset.about.splits[dataset.split] if isinstance(dataset, PublishedDataset) else None,
         n_without_truth=n_without_truth,
         missing=tuple(missing),
+        n_tried=len(complete) if hasattr(dataset, "pairs") else len(readable) + len(unreadable),
         readable=tuple(readable),
         unreadable=tuple(unreadable),
         photo_sizes=dict(sizes.most_common()),
@@ -140,6 +171,8 @@ def check(dataset: Samples, *, every: bool = False, track: Callable[[Sequence[in
         known=float(np.mean(shares)) if shares else 0.0,
         empty=tuple(empty),
         n_cameras=n_cameras,
+        doubts=doubts(glances, max_depth=getattr(dataset, "max_depth", None)),
+        unit_known=isinstance(dataset, PublishedDataset | SyntheticScenes),
     )
 
 
@@ -165,18 +198,20 @@ def evenly(indices: Sequence[int], n: int) -> list[int]:
 
 def _survey(dataset: Samples) -> tuple[list[int], list[Path], int]:
     """Return (pairs that have all their files and a truth, missing files, number of pairs without truth)."""
-    if isinstance(dataset, PublishedDataset):
-        missing = dataset.missing_files()
-        gone = set(missing)
-        bare = sum(pair.target is None for pair in dataset.pairs)
-        complete = [
-            i for i, pair in enumerate(dataset.pairs) if pair.target is not None and gone.isdisjoint(pair.files)
-        ]
-        return complete, missing, bare
-    if isinstance(dataset, PairDataset):
-        complete = [i for i, pair in enumerate(dataset.pairs) if pair.target is not None]
-        return complete, [], len(dataset) - len(complete)
-    return list(range(len(dataset))), [], 0
+    if not isinstance(dataset, PublishedDataset | PairDataset):
+        return list(range(len(dataset))), [], 0
+    missing = list(dict.fromkeys(dataset.missing_files()))
+    gone = set(missing)
+    bare = sum(pair.target is None for pair in dataset.pairs)
+    complete = [i for i, pair in enumerate(dataset.pairs) if pair.target is not None and gone.isdisjoint(pair.files)]
+    return complete, missing, bare
+
+
+def _depth_file(dataset: Samples, index: int, sample: Sample) -> str:
+    """Return the file of a pair's depth, or the name of the sample where it has none of its own."""
+    if isinstance(dataset, PublishedDataset | PairDataset):
+        return str(dataset.pairs[index].target)
+    return sample.name
 
 
 def _photo_size(dataset: Samples, index: int, sample: Sample) -> tuple[int, int]:

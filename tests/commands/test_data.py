@@ -87,7 +87,7 @@ def test_a_download_in_disorder(ddad: Path, capsys: pytest.CaptureFixture[str]):
     assert "Not in order: 1 files are missing; 1 of 1 pairs cannot be read; no pixel of any pair" in output
     assert f"Get it at {DDAD.about.page}" in output
     record = json.loads(run(capsys, "check", "ddad", ddad, "--json", code=1))
-    assert record["first_missing"] == [str(ddad / "ddad_val/0_depth.npy")]
+    assert record["missing_files"] == [str(ddad / "ddad_val/0_depth.npy")]
     assert len(record["unreadable"]) == 1
 
 

@@ -126,7 +126,9 @@ def test_baseline_is_trained_gone_on_with_and_evaluated_by_the_same_commands(
     small = ["--config.model.size", "64", "96", "--config.batch-size", "2", "--config.n-workers", "0"]
     assert main([*arguments, *small, "--init", "imagenet", "--config.steps", "2"]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
-    assert main([*arguments, *small, "--config.steps", "2"]) == 0, "there is nothing left to do"
+    assert main([*arguments, *small, "--config.steps", "2"]) == 2, "it began with other weights"
+    assert "['init'] differ" in capsys.readouterr().err
+    assert main([*arguments, *small, "--init", "imagenet", "--config.steps", "2"]) == 0, "there is nothing left to do"
     model = load_model(last)
     assert isinstance(model.config, BaselineConfig)
     assert model.config.size == (64, 96)
@@ -165,8 +167,18 @@ def test_typed_again_the_run_goes_on_and_with_other_values_it_is_refused(
     capsys.readouterr()
     assert main([*arguments, "1"]) == 0
     assert (tmp_path / "out" / "step_000001" / "train.pt").read_bytes() == before
+    assert "has taken all of its 1 steps: there is nothing left to train" in capsys.readouterr().err
+    assert main([*arguments, "1", "--config.seed", "4"]) == 2
+    assert "['seed']" in capsys.readouterr().err
+    assert main([*arguments, "2"]) == 0, "a finished run can be lengthened"
+    assert capsys.readouterr().out.splitlines()[-1] == str(tmp_path / "out/step_000002")
+    assert main([*arguments, "1"]) == 2
+    assert "none be shortened" in capsys.readouterr().err
+    indoor.write_text(indoor.read_text() + "\n")  # the list is the same, its pairs are: nothing has changed
+    assert main([*arguments, "2"]) == 0
+    (tmp_path / "indoor/dataset.json").write_text('{"max_depth": 4}')
     assert main([*arguments, "2"]) == 2
-    assert "'steps'" in capsys.readouterr().err
+    assert "Files of the data, or what is said of them, have changed since" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"]])

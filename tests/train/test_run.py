@@ -1,17 +1,26 @@
 """A run: built from nothing or from its last checkpoint, with all parts that the stages train with."""
 
+import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from tests.folders import write_pairs
+from tests.train.runs import assert_same_checkpoint
 
 from zoedepth.errors import InputError
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.train import metric
 from zoedepth.train.config import TrainConfig
+from zoedepth.train.metric import train_metric
 from zoedepth.train.processes import launch_fabric
 from zoedepth.train.relative import RelativeModel
+from zoedepth.train.report import report
 from zoedepth.train.run import Run, last_checkpoint, set_up
+from zoedepth.train.state import checkpoints
+from zoedepth.weights.load import save_model
 
 StartRun = Callable[..., Run]
 Data = dict[str, Path]
@@ -26,7 +35,8 @@ def test_a_new_run_starts_at_the_first_step_with_weights_of_its_seed(
     assert run.state.step == 0
     assert [source.name for source in run.sources] == ["indoor", "outdoor"]
     assert run.validation == {}
-    assert run.identity == {"data": {name: str(path) for name, path in data.items()}}
+    assert run.identity["data"] == {name: str(path) for name, path in data.items()}
+    assert run.identity["init"] == [None, None]
     weights = [each.state.model.state_dict() for each in (run, same, other)]
     assert all(torch.equal(value, weights[1][name]) for name, value in weights[0].items())
     assert any(not torch.equal(value, weights[2][name]) for name, value in weights[0].items())
@@ -43,7 +53,7 @@ def test_a_run_with_checkpoints_goes_on_from_the_newest(
         first.state.save(first.out, first.config, first.identity)
     names = [batch.names for batch in first.batches]
     capsys.readouterr()
-    run = start_run(init="not read when resuming")
+    run = start_run()
     assert run.state.step == 2
     assert (run.state.model.encoder.network.cls_token == 2).all()
     assert [batch.names for batch in run.batches] == names[2:]
@@ -54,8 +64,65 @@ def test_a_run_with_checkpoints_goes_on_from_the_newest(
 def test_a_run_on_other_data_is_refused(start_run: StartRun, data: Data) -> None:
     first = start_run(data={"indoor": data["indoor"]})
     first.state.save(first.out, first.config, first.identity)
-    with pytest.raises(InputError, match=r"\['data'\] differ"):
+    with pytest.raises(InputError, match=r"\['data', 'data_state'\] differ"):
         start_run(data={"indoor": data["outdoor"]})
+
+
+def test_a_run_whose_data_or_starting_weights_have_changed_is_refused(
+    start_run: StartRun, tiny_model: ZoeDepth, tmp_path: Path
+) -> None:
+    indoor, init = write_pairs(tmp_path / "indoor", n=2), tmp_path / "init.safetensors"
+    save_model(tiny_model, init)
+    first = start_run(data={"indoor": indoor}, init=str(init))
+    first.state.save(first.out, first.config, first.identity)
+    start_run(data={"indoor": indoor}, init=str(init))
+    depth = indoor.parent / "depth/train_001.png"
+    content, times = depth.read_bytes(), (depth.stat().st_atime_ns, depth.stat().st_mtime_ns)
+    depth.write_bytes(content + b"\0")
+    with pytest.raises(InputError, match=r"\['data_state'\] differ .* Files of the data"):
+        start_run(data={"indoor": indoor}, init=str(init))
+    depth.write_bytes(content)
+    os.utime(depth, ns=times)
+    start_run(data={"indoor": indoor}, init=str(init))
+    with torch.no_grad():
+        next(tiny_model.parameters()).add_(1)
+    save_model(tiny_model, init)
+    with pytest.raises(InputError, match=r"\['init'\] differ .* other starting weights"):
+        start_run(data={"indoor": indoor}, init=str(init))
+    init.unlink()  # weights that are gone by now are known by their name
+    start_run(data={"indoor": indoor}, init=str(init))
+
+
+def test_an_error_that_nobody_foresaw_saves_the_last_step(
+    make_config: Callable[..., TrainConfig], data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It does so in the middle of a step, and what goes on from there equals a run that never failed."""
+    config = make_config(checkpoint_every=100, pictures=0)
+    whole = train_metric(config, data=data, out=tmp_path / "whole", init=None)
+    losses = metric.metric_losses
+
+    def fail(*arguments: object) -> dict[str, torch.Tensor]:
+        if (tmp_path / "armed").exists():
+            torch.rand(7)
+            raise ZeroDivisionError
+        return losses(*arguments)
+
+    monkeypatch.setattr(metric, "metric_losses", fail)
+    monkeypatch.setattr(
+        "zoedepth.train.metric.report", lambda run, *rest: (tmp_path / "armed").touch() or report(run, *rest)
+    )
+    with pytest.raises(ZeroDivisionError):
+        train_metric(config, data=data, out=tmp_path / "out", init=None)
+    assert [path.name for path in checkpoints(tmp_path / "out")] == ["step_000001"]
+    monkeypatch.undo()
+    assert_same_checkpoint(whole, train_metric(config, data=data, out=tmp_path / "out", init=None))
+
+
+def test_no_checkpoint_of_a_half_changed_model_and_none_twice(start_run: StartRun) -> None:
+    run = start_run()
+    with pytest.raises(ZeroDivisionError), run.state.changing():
+        raise ZeroDivisionError
+    assert not run.state.go_back()
 
 
 def test_checkpointed_gradients_compute_the_encoder_twice_and_are_the_same(start_run: StartRun) -> None:

@@ -137,7 +137,7 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
     ]
     tested = {name for _, values in cases for name in values}
     # Fails where a new field has no case. The others are the mixture's, the reader's or the loss's; sparse has its own.
-    elsewhere = {"name", "weight", "gradient_term", "domain", "depth_scale", "sparse"}
+    elsewhere = {"name", "weight", "gradient_term", "domain", "depth_scale", "max_depth", "sparse"}
     assert {field.name for field in dataclasses.fields(SourceConfig)} - elsewhere == tested
 
     rng = np.random.default_rng(0)

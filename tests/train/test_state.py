@@ -232,6 +232,7 @@ HARMLESS = {
     "keep_checkpoints": 5,
     "pictures": 0,
     "checkpoint_every": 7,
+    "check": "off",
 }
 
 

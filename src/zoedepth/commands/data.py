@@ -96,7 +96,7 @@ def check(
         what: a name from `zoedepth data list`, followed by its folder; or data of your own in any form, see
             docs/your-data.md: a list, a folder, shards, hf:OWNER/NAME.
         folder: the folder of the published data set.
-        split: a split of the data set, or the list in your own folder; None takes the first, which is train if there is
+        split: a split of the data set, or the list in your own folder; without it the first, which is train if there is
             one.
         sheet: write a picture of some pairs to this .jpg, .png or .webp.
         every: read every pair instead of 50.

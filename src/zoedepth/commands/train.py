@@ -15,6 +15,7 @@ from rich.table import Table
 
 from zoedepth.commands.data import named_sources
 from zoedepth.commands.options import WIDTH, read
+from zoedepth.commands.writable import check_writable
 from zoedepth.config import BaselineConfig
 from zoedepth.errors import InputError, no_such
 from zoedepth.presets import with_encoder, with_head
@@ -101,6 +102,7 @@ def train(arguments: Sequence[str]) -> int:
         from zoedepth.train.relative import train_relative as train_stage
     else:
         from zoedepth.train.metric import train_metric as train_stage
+    check_writable(options.out)
     print(
         train_stage(
             options.config,
@@ -141,9 +143,12 @@ def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
 def finetune(command: _FinetuneCommand) -> int:
     """Fine-tune, and print what was found, what was chosen, and the comparison of before and after."""
     from zoedepth.train import finetune as finetuning
+    from zoedepth.train.log import Ticker, say
 
     console = Console(stderr=True, highlight=False)
-    plan = finetuning.plan(named_sources(command.data), command.options, out=command.out)
+    check_writable(command.out)
+    ticker = Ticker("looking at the data", say)
+    plan = finetuning.plan(named_sources(command.data), command.options, out=command.out, progress=ticker)
     for line in _described(plan, command.out):
         console.print(line, soft_wrap=True, markup=False)
     measured = finetuning.finetune(plan, out=command.out, devices=command.devices, n_nodes=command.nodes)
@@ -174,6 +179,14 @@ def _described(plan: "Plan", out: Path) -> Iterator[str]:
             f"{name}: {found.n} pairs, {width}x{height}{others}; depth known at {found.known:.0%} ({kind}); {ranges}. "
             f"The last {config.holdout} are held out."
         )
+        doubts = found.doubts
+        if doubts.mark is not None:
+            taken = f" It is taken for unknown from {found.max_depth:g} m on." if found.max_depth else ""
+            yield f"{name}: warning: {doubts.mark}.{taken}"
+        for doubt in doubts.unlikely:
+            yield f"{name}: warning: {doubt}"
+        for problem in plan.broken[name].values():
+            yield f"{name}: skipped: {problem}"
     heads = ", ".join(f"{domain.name} (to {domain.max_depth:g} m)" for domain in config.model.domains)
     yield (
         f"From {plan.init}, heads {heads}: {config.steps} steps of {config.batch_size}, at "

@@ -117,6 +117,8 @@ class HuggingFaceDataset(Dataset[Sample]):
         defaults = read_defaults(folder) if folder else Facts()
         self._facts = replace(Facts(None, domain, max_depth=max_depth).over(defaults), depth_scale=depth_scale)
         self._default_scale = default_scale or defaults.depth_scale
+        self.max_depth = self._facts.max_depth
+        """Metres from which on depth is unknown, where this is said."""
         if not self._facts.domain:
             raise InputError(f"{name} needs a domain: give ?domain=indoor behind its name, or in dataset.json")
         # The files' own bytes: formats and sizes are ours to check.

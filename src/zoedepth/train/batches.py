@@ -6,10 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING, cast
 
 import torch
-from torch.utils.data import DataLoader, Subset
+from torch.utils.data import DataLoader
 
 from zoedepth.data.mix import Component, Mixture, Positions
-from zoedepth.data.sample import Batch, Sample, collate
+from zoedepth.data.sample import Batch, Samples, collate
+from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import augmentations
 
@@ -29,9 +30,22 @@ class Batches(Iterator[Batch]):
         self._waited = 0.0
 
     def __next__(self) -> Batch:
-        """Return the next batch, its pixels in the order that convolutions like best (channels last)."""
+        """Return the next batch, its pixels in the order that convolutions like best (channels last).
+
+        Raises:
+            InputError: samples cannot be read.
+        """
         asked = time.monotonic()
-        batch = next(self._batches)
+        try:
+            batch = next(self._batches)
+        except (StopIteration, KeyboardInterrupt):
+            raise
+        except Exception as error:
+            # From another process, an error comes with all of that process's calls as its message.
+            lines = [line for line in str(error).splitlines() if line.strip()] or [repr(error)]
+            if isinstance(error, ZoeDepthError) and len(lines) == 1:
+                raise
+            raise InputError(f"samples cannot be read: {lines[-1].strip()}") from error
         self._waited += time.monotonic() - asked
         return batch._replace(pixels=batch.pixels.contiguous(memory_format=torch.channels_last))
 
@@ -48,7 +62,7 @@ class Batches(Iterator[Batch]):
 def load_batches(
     config: TrainConfig,
     fabric: "Fabric",
-    training: Sequence[tuple[SourceConfig, "Subset[Sample]"]],
+    training: Sequence[tuple[SourceConfig, Samples]],
     *,
     first_step: int,
 ) -> Batches:

@@ -8,6 +8,10 @@ from zoedepth.errors import InputError
 
 Precision = Literal["auto", "bf16-mixed", "16-mixed", "32-true"]
 
+Check = Literal["quick", "full", "off"]
+"""The look at the data before a training. quick: headers, sizes and ends of all files. full: every sample is read. off:
+nothing; files that turn out to be broken are skipped all the same."""
+
 
 @dataclass(frozen=True)
 class SourceConfig:
@@ -20,7 +24,9 @@ class SourceConfig:
     domain: str | None = None
     """Scene type of its photos, for data that does not name one."""
     depth_scale: float | None = None
-    """Stored value of one metre, for data that does not name one."""
+    """Stored value of one metre, for whole numbers of which the data does not name one."""
+    max_depth: float | None = None
+    """Metres from which on depth is unknown, for data that does not name them."""
     sparse: bool = False
     """Depth is known at scattered points (lidar). Resizing then keeps every point; to take every n-th pixel would lose
     most of them."""
@@ -158,6 +164,9 @@ class TrainConfig:
     """Steps between lines of the log."""
     n_workers: int = 2
     """Processes that read and augment samples; 0: the training does it itself."""
+    check: Check = "quick"
+    """Look at the data before the first step. quick: headers, sizes and ends of all files. full: every sample is read.
+    off: nothing."""
     seed: int = 43
     """Seed of the initial weights, the order of the data and the augmentations."""
 
@@ -198,7 +207,11 @@ class FinetuneOptions:
     domain: str | None = None
     """Scene type of photos whose data does not name one: indoor, outdoor or a name of your own."""
     depth_scale: float | None = None
-    """Stored value of one metre in PNGs, for data that does not name one."""
+    """Stored value of one metre in PNGs and other whole numbers, for data that does not name one."""
+    check: Check = "quick"
+    """Look at the data first. quick: headers, sizes and ends of all files, and the depth of up to 200 pairs. full:
+    every pair is read. off: the depth is believed, however implausible; use it for data beyond a kilometre or below a
+    centimetre."""
     holdout: int | None = None
     """Pairs held out for the comparison, the last of each data set; None: a seventh, at least 1 and at most 50."""
     steps: int | None = None

@@ -1,7 +1,7 @@
 """Fine-tune a model on one's own data: look at the data, choose what fits it, train, and compare before and after."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,8 @@ import torch
 from torch.utils.data import Subset
 
 from zoedepth.config import ModelConfig
+from zoedepth.data.integrity import find_broken, most_broken
+from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.dataset_scores import score_dataset
 from zoedepth.evaluation.predictions import ModelSource
@@ -21,10 +23,16 @@ from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, Tr
 from zoedepth.train.extend import extended, extended_config
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
+from zoedepth.train.run import identity_of
 from zoedepth.train.sources import open_source
+from zoedepth.train.state import check_same, checkpoints
 from zoedepth.train.survey import Survey, survey
+from zoedepth.train.tolerant import too_many
 from zoedepth.weights.card import model_card
 from zoedepth.weights.load import load_model, save_model
+
+RESULTS = ("model.safetensors", "README.md", "metrics.json", "data.jpg")
+"""Files that a fine-tuning writes into its folder."""
 
 INITIAL = "initial.safetensors"
 """File, in the folder of a fine-tuning, of the model that training starts from."""
@@ -43,6 +51,8 @@ class Plan:
     """Name of a data set → where it is."""
     surveys: dict[str, Survey]
     """Name of a data set → what was found in it."""
+    broken: dict[str, dict[int, str]]
+    """Name of a data set → number of a pair that cannot be read → what is wrong with it."""
     init: str
     """The model to start from, for ``load_model``."""
     new_domains: tuple[str, ...]
@@ -56,6 +66,7 @@ def plan(
     options: FinetuneOptions,
     *,
     out: Path,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Plan:
     """Look at the data, and choose what fits it. Writes ``out/data.jpg``, a picture of some of the data.
 
@@ -63,15 +74,18 @@ def plan(
         data: name of a data set → where it is, anything that ``zoedepth.opening.open_dataset`` opens.
         options: the user's choices.
         out: folder for the result.
+        progress: called while files are looked at, with the number of pairs that are done, and of all.
 
     Raises:
-        InputError: the data cannot be read, there are too few pairs, or the model cannot be fine-tuned.
+        InputError: the data cannot be read or is not plausible, there are too few pairs, the model cannot be
+            fine-tuned, or ``out`` has files that are not those of a fine-tuning.
     """
     init = options.init
-    surveys, samples, held_out = {}, [], []
+    _check_out(out, data)
+    surveys, broken, samples, held_out = {}, {}, [], []
     for name, source in data.items():
         dataset = open_source(SourceConfig(name, domain=options.domain, depth_scale=options.depth_scale), source)
-        surveys[name], some = survey(dataset, name=name)
+        surveys[name], broken[name], some = _look(dataset, name, source, options, progress)
         samples += some
         held_out.append(options.holdout if options.holdout is not None else min(50, max(1, len(dataset) // 7)))
         if len(dataset) - held_out[-1] < 1:
@@ -79,8 +93,6 @@ def plan(
                 f"{source} has {len(dataset)} pairs: a holdout of {held_out[-1]} leaves none to train on. Add "
                 "pairs, or give a smaller --holdout"
             )
-    out.mkdir(parents=True, exist_ok=True)
-    write_image(out / "data.jpg", data_sheet(samples[:8]))
     model = load_model(init)
     if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
         raise InputError(
@@ -102,7 +114,12 @@ def plan(
         stage="metric",
         model=config,
         sources=tuple(
-            replace(_source(name, found), domain=options.domain, depth_scale=options.depth_scale)
+            replace(
+                _source(name, found),
+                domain=options.domain,
+                depth_scale=options.depth_scale,
+                max_depth=found.max_depth,
+            )
             for name, found in surveys.items()
         ),
         steps=steps,
@@ -116,9 +133,12 @@ def plan(
         validate_every=max(1, steps // 5),
         checkpoint_every=100,
         seed=options.seed,
+        check="off",  # it has been looked at
     )
+    out.mkdir(parents=True, exist_ok=True)
+    write_image(out / "data.jpg", data_sheet(samples[:8]))
     return Plan(
-        chosen, dict(data), surveys, init, tuple(sorted(wanted - known)),
+        chosen, dict(data), surveys, broken, init, tuple(sorted(wanted - known)),
         tuple(sorted(known - set(far))) if len(known) > 1 else (),
     )  # fmt: skip
 
@@ -143,12 +163,19 @@ def finetune(
 
     Returns:
         Name of a data set → what was measured on its held-out pairs, before and after.
+
+    Raises:
+        InputError: ``out`` has the result or the run of other data, options or weights.
     """
     model = load_model(plan.init)
     start = out / INITIAL
     assert isinstance(model, ZoeDepth)  # there is no plan for other models
     assert isinstance(plan.config.model, ModelConfig)
     save_model(extended(model, plan.config.model), start)
+    if existing := checkpoints(out / "run"):
+        opened = {source.name: open_source(source, plan.data[source.name]) for source in plan.config.sources}
+        identity = identity_of(opened, plan.data, str(start))
+        check_same(existing[-1], plan.config, identity, besides=["domain_weight"])  # which is chosen below
     before = {name: _measure(str(start), name, plan, "before") for name in plan.data}
     config = plan.config
     if any(summary.router is not None and summary.router < ROUTER_RIGHT for summary in before.values()):
@@ -159,6 +186,42 @@ def finetune(
     measured = {name: (before[name], after[name]) for name in plan.data}
     _write(out, plan, measured)
     return measured
+
+
+def _check_out(out: Path, data: Mapping[str, str]) -> None:
+    """Check that nothing in a folder would be replaced that is not of a fine-tuning."""
+    for source in data.values():
+        if Path(source).is_dir() and out.is_dir() and out.samefile(source):
+            raise InputError(f"--out {out} is the folder of the data: choose another one, so that they do not mix")
+    ours = (out / INITIAL).is_file() or (out / "run").is_dir()
+    clash = [name for name in RESULTS if (out / name).exists()]
+    if clash and not ours and clash != ["data.jpg"]:
+        raise InputError(
+            f"--out {out} has {', '.join(clash)}, and no fine-tuning has written it: choose another folder, or move "
+            "these files away"
+        )
+
+
+def _look(
+    dataset: DepthDataset,
+    name: str,
+    source: str,
+    options: FinetuneOptions,
+    progress: Callable[[int, int], None],
+) -> tuple[Survey, dict[int, str], list[Sample]]:
+    """Look at the files of a data set and at some of its depth; return findings, broken pairs and samples to show."""
+    broken: dict[int, str] = {}
+    if options.check != "off":
+        broken = find_broken(dataset, full=options.check == "full", progress=progress)
+        if len(broken) > most_broken(len(dataset)) or len(broken) == len(dataset):
+            raise InputError(too_many(source, broken, len(dataset)))
+    found, samples = survey(dataset, name=name, broken=broken, trusted=options.check == "off")
+    if found.doubts.impossible:
+        raise InputError(
+            f"{name}: {'; '.join(found.doubts.impossible)}. Give the right depth_scale in the data or by "
+            "--depth-scale, or --check off if it is right as it is"
+        )
+    return found, broken, samples
 
 
 def _source(name: str, found: Survey) -> SourceConfig:

@@ -3,17 +3,58 @@
 import json
 import math
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from zoedepth.errors import InputError
 from zoedepth.images import ImageArray, atomic_path, write_image
 from zoedepth.train.config import TrainConfig
 
 console = Console(stderr=True)
+
+
+def say(text: str) -> None:
+    """Show a line on the console."""
+    console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def check_log(folder: Path) -> None:
+    """Check that a ``log.jsonl`` in a folder is that of a run: the log of a new run replaces it.
+
+    Raises:
+        InputError: it is something else.
+    """
+    path = folder / "log.jsonl"
+    if path.is_file():
+        with path.open("rb") as file:
+            first = file.readline(1 << 16).decode("utf-8", "replace")
+        if first.strip() and not first.startswith('{"step": '):
+            raise InputError(f"{path} is not the log of a run, and would be replaced: choose another --out")
+
+
+class Ticker:
+    """A line every 15 seconds that says how far something is. Called with the number that is done, and of all.
+
+    Args:
+        what: the work, as the line begins.
+        say: shows a line.
+    """
+
+    EVERY = 15.0
+
+    def __init__(self, what: str, say: Callable[[str], object]) -> None:
+        self._what, self._say = what, say
+        self._last = time.monotonic()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show a line if it is time."""
+        if time.monotonic() - self._last >= self.EVERY:
+            self._last = time.monotonic()
+            self._say(f"{self._what}: {done:,} of {total:,}")
 
 
 class Log:

@@ -1,10 +1,12 @@
 """Report a step: log, validate, draw, write a checkpoint, and end if somebody asked for it."""
 
 from collections.abc import Mapping
+from itertools import islice
 
 from zoedepth.data.sample import Batch, Sample
 from zoedepth.train.pictures import predictions_sheet
 from zoedepth.train.run import Run
+from zoedepth.train.tolerant import readable
 from zoedepth.train.validate import validate
 
 
@@ -18,7 +20,12 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
 
     Raises:
         KeyboardInterrupt: the run was asked to end; the checkpoint of this step is written.
+        InputError: too many samples turned out to be broken.
     """
+    for samples in run.tolerant:
+        for problem in samples.newly_broken():
+            run.log.say(f"skipped: {problem}")
+        samples.check_share()
     config, step = run.config, run.state.step
     last = step == config.steps
     interrupted = run.interruption.asked(run.fabric)
@@ -49,7 +56,7 @@ def _validate_and_draw(run: Run, batch: Batch) -> None:
 def _shown(run: Run, batch: Batch) -> list[Sample]:
     """Return the samples to draw: held-out ones of every data set, or else those of the batch."""
     n = run.config.pictures
-    held_out = [subset[i] for subset in run.validation.values() for i in range(min(len(subset), n))]
+    held_out = [sample for subset in run.validation.values() for sample in islice(readable(subset), n)]
     if held_out:
         return held_out[:: max(1, len(held_out) // n)][:n]
     return batch.samples([domain.name for domain in run.config.model.domains])[:n]

@@ -10,16 +10,19 @@ from torch import nn
 from torch.utils.data import Subset
 
 from zoedepth.build import build_model
-from zoedepth.data.sample import Sample
+from zoedepth.data.sample import Sample, Samples
+from zoedepth.errors import TrainingError
 from zoedepth.model.interface import DepthModel
 from zoedepth.train.batches import Batches, load_batches
 from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.identity import data_state, start_state
 from zoedepth.train.interruption import Interruption
-from zoedepth.train.log import Log
+from zoedepth.train.log import Log, Ticker, check_log, say
 from zoedepth.train.optim import build_optimizer
 from zoedepth.train.sources import load_sources
 from zoedepth.train.start import start_from
-from zoedepth.train.state import TrainState, averaged, checkpoints
+from zoedepth.train.state import TrainState, averaged, check_same, checkpoints
+from zoedepth.train.tolerant import Tolerant
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -42,12 +45,14 @@ class Run:
     """The optimizer of the state, as Fabric calls it."""
     sources: tuple[SourceConfig, ...]
     """The data sets that are trained on."""
+    tolerant: tuple[Tolerant, ...]
+    """Their samples, which know of those that are broken."""
     validation: Mapping[str, "Subset[Sample]"]
     """Name of a data set → its held-out samples."""
     batches: Batches
     """This process's share of the steps that are left."""
     identity: Mapping[str, Any]
-    """Plain values that tell this run from another of the same configuration: its data."""
+    """Plain values that tell this run from another of the same configuration: its data and starting weights."""
     log: Log
     interruption: Interruption
 
@@ -72,20 +77,27 @@ def set_up(
         out: folder of the run.
         init: starting weights, see ``zoedepth.train.start.start_from``; not read when resuming.
 
+    An error in the context, which has not been foreseen, saves the last step as an interruption does.
+
     Raises:
-        InputError: data, starting weights or checkpoint do not suit the configuration.
+        InputError: data, starting weights or checkpoint do not suit the configuration, or belong to another run.
     """
     fabric.seed_everything(config.seed, workers=True, verbose=False)
-    training, validation = load_sources(config, data)
-    model = build_model(config.model)
     finished = checkpoints(out)
+    ticker = Ticker("looking at the data", say if fabric.is_global_zero else lambda text: None)
+    training, validation = load_sources(config, data, progress=ticker)
+    identity = identity_of({source.name: samples.samples for source, samples in training}, data, init)
+    if finished:
+        check_same(finished[-1], config, identity)
+    else:
+        check_log(out)
+    model = build_model(config.model)
     started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
     if config.gradient_checkpointing:
         model.encoder.checkpoint_gradients()
     network = part(model)
     optimizer = build_optimizer(network, config.optim)
     state = TrainState(model, optimizer, averaged(model, config.ema_decay))
-    identity = {"data": {name: str(path) for name, path in sorted(data.items())}}
     if finished:
         state.load(finished[-1], config, identity)
     network, optimizer = fabric.setup(network, optimizer)
@@ -93,14 +105,56 @@ def set_up(
     n_images = sum(len(subset) for _, subset in training)
     sources = tuple(source for source, _ in training)
     with Log(out, config, first_step=state.step, active=fabric.is_global_zero) as log, Interruption() as interruption:
-        log.say(f"{config.stage} from {started_from}: steps {state.step} to {config.steps}, {n_images} images")
+        if state.step < config.steps:
+            log.say(f"{config.stage} from {started_from}: steps {state.step} to {config.steps}, {n_images} images")
+        else:
+            log.say(f"{started_from} has taken all of its {state.step} steps: there is nothing left to train")
+        tolerant = tuple(samples for _, samples in training)
+        for problem in (problem for samples in tolerant for problem in samples.problems.values()):
+            log.say(f"skipped: {problem}")
+        run = Run(
+            config, out, fabric, state, network, optimizer, sources, tolerant, validation, batches, identity, log,
+            interruption,
+        )  # fmt: skip
         try:
-            yield Run(
-                config, out, fabric, state, network, optimizer, sources, validation, batches, identity, log,
-                interruption,
-            )  # fmt: skip
+            yield run
+        except TrainingError:  # the numbers went wrong: older checkpoints are worth more
+            raise
+        except Exception:
+            _rescue(run)
+            raise
         finally:
             batches.close()
+
+
+def identity_of(opened: Mapping[str, Samples], data: Mapping[str, str | Path], init: str | None) -> dict[str, Any]:
+    """Return the plain values that tell a run from another of the same configuration.
+
+    Args:
+        opened: name of a data set → its samples, or a ``Subset`` of them.
+        data: name of a data set → where it is.
+        init: starting weights.
+    """
+    whole = {name: samples.dataset if isinstance(samples, Subset) else samples for name, samples in opened.items()}
+    return {
+        "data": {name: str(path) for name, path in sorted(data.items())},
+        "data_state": {name: data_state(whole[name], str(data[name])) for name in sorted(whole)},
+        "init": start_state(init),
+    }
+
+
+def _rescue(run: Run) -> None:
+    """Save the last step that was finished, if no checkpoint has it yet."""
+    newest = checkpoints(run.out)[-1:]
+    if not run.fabric.is_global_zero or run.state.step == 0 or not run.state.go_back():
+        return
+    if newest and newest[0].name == f"step_{run.state.step:06d}":
+        return
+    try:
+        run.state.save(run.out, run.config, run.identity)
+    except OSError:  # a full disk is likely what has ended the run
+        return
+    run.log.say(f"step {run.state.step} is saved; the same command goes on from there")
 
 
 def last_checkpoint(run: Run) -> Path:

@@ -1,6 +1,6 @@
 """The data of a training: which data sets, which pairs are held out, and how samples are augmented."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -9,10 +9,12 @@ import numpy as np
 from torch.utils.data import Dataset, Subset
 
 from zoedepth.data import augment
+from zoedepth.data.integrity import find_broken, most_broken
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.opening import open_dataset
 from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.tolerant import Tolerant, too_many
 
 
 class _Mapped(Dataset[Sample], DepthDataset):
@@ -20,20 +22,25 @@ class _Mapped(Dataset[Sample], DepthDataset):
 
 
 def load_sources(
-    config: TrainConfig, data: Mapping[str, str | Path]
-) -> tuple[list[tuple[SourceConfig, "Subset[Sample]"]], dict[str, "Subset[Sample]"]]:
-    """Open the data, and hold out the last pairs of each data set.
+    config: TrainConfig,
+    data: Mapping[str, str | Path],
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> tuple[list[tuple[SourceConfig, Tolerant]], dict[str, "Subset[Sample]"]]:
+    """Open the data, look at it, and hold out the last pairs of each data set.
 
     Args:
         config: the configuration of the training.
         data: name of one of its sources → where the data is.
+        progress: called while files are looked at, with the number of samples that are done, and of all.
 
     Returns:
         A list of (config of a source, samples to train on), in the order of the config, and a dict of name → samples to
         validate on.
 
     Raises:
-        InputError: a name is not one of the config's sources, or the data does not suit the stage.
+        InputError: a name is not one of the config's sources, the data does not suit the stage, or too much of it is
+            broken.
     """
     known = {source.name: source for source in config.sources}
     if unknown := sorted(set(data) - set(known)):
@@ -57,15 +64,29 @@ def load_sources(
             raise InputError(
                 f"{data[name]} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none to train on"
             )
-        training.append((known[name], Subset(dataset, range(n_training))))
+        broken = {}
+        if config.check != "off":
+            broken = find_broken(dataset, full=config.check == "full", progress=progress)
+        if len(broken) > most_broken(len(dataset)) or len(broken) == len(dataset):
+            raise InputError(too_many(str(data[name]), broken, len(dataset)))
+        held = {i: problem for i, problem in broken.items() if i < n_training}
+        training.append((known[name], Tolerant(Subset(dataset, range(n_training)), name=name, broken=held)))
         if config.holdout:
             validation[name] = Subset(dataset, range(n_training, len(dataset)))
     return training, validation
 
 
 def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
-    """Open the training split of a source's data."""
-    found = open_dataset(data, name=source.name, split="train", domain=source.domain, depth_scale=source.depth_scale)
+    """Open the training split of a source's data. Pairs whose files are missing are kept: see ``Tolerant``."""
+    found = open_dataset(
+        data,
+        name=source.name,
+        split="train",
+        keep_missing=True,
+        domain=source.domain,
+        depth_scale=source.depth_scale,
+        max_depth=source.max_depth,
+    )
     return cast(_Mapped, found)
 
 

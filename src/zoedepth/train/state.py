@@ -4,7 +4,8 @@ import dataclasses
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +19,19 @@ from zoedepth.config import from_dict, to_dict
 from zoedepth.errors import InputError
 from zoedepth.model.interface import DepthModel
 from zoedepth.train.config import TrainConfig
+from zoedepth.train.identity import same_start
 from zoedepth.weights.load import save_model
+
+_HARMLESS = frozenset({
+    "n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures", "check",
+})  # fmt: skip
+"""Fields of the configuration that change nothing in the result."""
+
+_REASONS = {
+    "data_state": "Files of the data, or what is said of them, have changed since (their sizes or times)",
+    "steps": "Only a finished run can be lengthened, and none be shortened",
+    "init": "It began with other starting weights (--init)",
+}
 
 
 @dataclass
@@ -32,6 +45,33 @@ class TrainState:
     """Number of optimizer steps taken."""
     task_weights: Tensor | None = None
     """Stage 1: the last solution for the weights of the data sets."""
+    begun: tuple[Tensor, Tensor | None, list[tuple[Tensor, Tensor]]] | None = None
+    """Random numbers, ``task_weights``, and (buffer, copy) of batch norms that learn, when the step at hand began; None
+    between two steps."""
+    whole: bool = True
+    """False while an optimizer step changes the weights one after another."""
+
+    def begin(self) -> None:
+        """Remember what the step that begins now may change before the optimizer does."""
+        norms = [module for module in self.model.modules() if isinstance(module, nn.modules.batchnorm._BatchNorm)]
+        buffers = [buffer for norm in norms if norm.training for buffer in norm.buffers()]
+        self.begun = (torch.get_rng_state(), self.task_weights, [(buffer, buffer.clone()) for buffer in buffers])
+
+    @contextmanager
+    def changing(self) -> Iterator[None]:
+        """Mark the state as not whole while the block changes it. An error in the block leaves it so."""
+        self.whole = False
+        yield
+        self.whole, self.begun = True, None
+
+    def go_back(self) -> bool:
+        """Take back what the step at hand has changed before the optimizer; return False if it is too late for that."""
+        if self.whole and self.begun is not None:
+            rng, self.task_weights, buffers = self.begun
+            torch.set_rng_state(rng)
+            for buffer, copy in buffers:
+                buffer.copy_(copy)
+        return self.whole
 
     @property
     def result(self) -> DepthModel:
@@ -58,6 +98,18 @@ class TrainState:
         final = folder / f"step_{self.step:06d}"
         part = folder / f".{final.name}.part"
         shutil.rmtree(part, ignore_errors=True)
+        try:
+            self._write(part, config, identity)
+        except BaseException:  # a full disk: make room
+            shutil.rmtree(part, ignore_errors=True)
+            raise
+        shutil.rmtree(final, ignore_errors=True)
+        os.replace(part, final)
+        for old in checkpoints(folder)[: -config.keep_checkpoints]:
+            shutil.rmtree(old)
+        return final
+
+    def _write(self, part: Path, config: TrainConfig, identity: Mapping[str, Any]) -> None:
         part.mkdir(parents=True)
         save_model(self.result, part / "model.safetensors")
         torch.save(
@@ -75,11 +127,6 @@ class TrainState:
         for path in part.iterdir():  # on the disk before the rename: after a power cut the older checkpoint is whole
             with path.open("rb") as file:
                 os.fsync(file.fileno())
-        shutil.rmtree(final, ignore_errors=True)
-        os.replace(part, final)
-        for old in checkpoints(folder)[: -config.keep_checkpoints]:
-            shutil.rmtree(old)
-        return final
 
     def load(self, checkpoint: Path, config: TrainConfig, identity: Mapping[str, Any] = MappingProxyType({})) -> None:
         """Load a checkpoint of the same configuration and data; workers, logging and the like may differ.
@@ -92,26 +139,12 @@ class TrainState:
         Raises:
             InputError: the checkpoint is damaged, or its configuration or data differ; the message names the fields.
         """
+        check_same(checkpoint, config, identity)
         try:
             meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
-            saved = from_dict(TrainConfig, meta["config"], where="config")
             values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
         except Exception as error:  # a damaged file can raise anything
-            raise InputError(
-                f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
-            ) from error
-        harmless = {"n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures"}
-        differing = [
-            field.name
-            for field in dataclasses.fields(TrainConfig)
-            if field.name not in harmless and getattr(saved, field.name) != getattr(config, field.name)
-        ]
-        differing += [name for name, value in identity.items() if meta.get(name, value) != value]
-        if differing:
-            raise InputError(
-                f"cannot resume from {checkpoint}: its values of {differing} differ from this run's. Use the same "
-                "values, or another --out for another run"
-            )
+            raise _damaged(checkpoint, error) from error
         try:
             self.model.load_state_dict(values["model"])
             self.optimizer.load_state_dict(values["optimizer"])
@@ -125,6 +158,52 @@ class TrainState:
                 f"cannot resume from {checkpoint}, its state does not fit the model: {error}. Remove it to go on from "
                 "an older checkpoint"
             ) from error
+
+
+def check_same(
+    checkpoint: Path, config: TrainConfig, identity: Mapping[str, Any], *, besides: Collection[str] = ()
+) -> None:
+    """Check that a checkpoint belongs to this configuration, this data and these starting weights.
+
+    A finished run may be lengthened: it goes on with more steps.
+
+    Args:
+        checkpoint: the folder of the checkpoint.
+        config: the run's configuration.
+        identity: see ``TrainState.save``.
+        besides: fields of the configuration that may differ.
+
+    Raises:
+        InputError: it belongs to others, or is damaged; the message names what differs.
+    """
+    try:
+        meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
+        saved = from_dict(TrainConfig, meta["config"], where="config")
+        step = int(meta["step"])
+    except Exception as error:  # a damaged file can raise anything
+        raise _damaged(checkpoint, error) from error
+    harmless = {*_HARMLESS, *besides}
+    if step >= saved.steps and config.steps > saved.steps:
+        harmless.add("steps")
+    differing = [
+        field.name
+        for field in dataclasses.fields(TrainConfig)
+        if field.name not in harmless and getattr(saved, field.name) != getattr(config, field.name)
+    ]
+    differing += [name for name, value in identity.items() if not same_start(meta.get(name, value), value)]
+    if differing:
+        kept = "the result of a finished run" if step >= saved.steps else f"a run of {step} of {saved.steps} steps"
+        why = "".join(f". {_REASONS[name]}" for name in differing if name in _REASONS)
+        raise InputError(
+            f"{checkpoint.parent} has {kept}, whose values of {differing} differ from this one's{why}. Use the same "
+            "values, or another --out"
+        )
+
+
+def _damaged(checkpoint: Path, error: Exception) -> InputError:
+    return InputError(
+        f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
+    )
 
 
 def checkpoints(folder: Path) -> list[Path]:

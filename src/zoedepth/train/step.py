@@ -20,6 +20,7 @@ def begin_step(run: Run) -> None:
     run.state.model.train()
     if run.config.freeze_batch_norm:
         freeze_batch_norm(run.state.model.encoder)
+    run.state.begin()
 
 
 def backward(run: Run, loss: Tensor, batch: Batch, *, complete: bool) -> None:
@@ -60,11 +61,12 @@ def take_step(run: Run, batches: Sequence[Batch]) -> float:
     # In float16 the scaling of the loss meets infinite gradients now and then, and skips the step by itself.
     if resolve(run.config.precision) != "16-mixed" and not math.isfinite(norm):
         raise _not_finite("norm of the gradients", norm, run, batches)
-    run.optimizer.step()
-    run.optimizer.zero_grad()
-    if run.state.ema is not None:
-        run.state.ema.update_parameters(run.state.model)
-    run.state.step += 1
+    with run.state.changing():
+        run.optimizer.step()
+        run.optimizer.zero_grad()
+        if run.state.ema is not None:
+            run.state.ema.update_parameters(run.state.model)
+        run.state.step += 1
     return norm
 
 

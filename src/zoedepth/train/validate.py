@@ -16,6 +16,7 @@ from zoedepth.evaluation.scoring import Score, score
 from zoedepth.metrics import mean_metrics
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
+from zoedepth.train.tolerant import readable
 
 
 def validate(
@@ -38,7 +39,7 @@ def validate(
     model.eval()
     numbers = {}
     for name, subset in validation.items():
-        samples = (subset[i] for i in range(len(subset)))
+        samples = readable(subset)
         found = _relative(model, samples) if stage == "relative" else _metric(model, samples)
         numbers |= {f"validation/{name}/{metric}": value for metric, value in found.items()}
     model.train(training)

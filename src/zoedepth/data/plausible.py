@@ -1,0 +1,171 @@
+"""Is this depth plausible? Marks that stand for "unknown", units that cannot be, and maps unlike the others.
+
+A depth map is a picture of numbers, and nothing in it says whether they are metres. What is found here is said to the
+user in words; nobody's data is changed.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+MANY = 0.01
+"""Share of the known pixels beyond which one value at the top of the range is suspicious."""
+
+POSSIBLE = (0.01, 1000.0)
+"""Medians of depth in metres that a photo can have: from a centimetre to a kilometre."""
+
+USUAL = {"indoor": (0.2, 20.0), "outdoor": (1.0, 300.0)}
+"""Domain → medians in metres that are usual for its photos; a tenfold unit leads out of them."""
+
+UNLIKE = 8.0
+"""Factor by which the median of a map differs from those of its domain, where its unit is not theirs."""
+
+UNIT = (
+    "Metres are the stored value divided by depth_scale: 1000 for millimetres (also where a sensor says 0.001 metres a "
+    "unit), 256 as in KITTI; floating point must be metres"
+)
+"""A sentence about the unit, for messages."""
+
+_BAND = 0.02  # below the largest value: where many pixels hold that one, but few come near it, it is not a slope's end
+_FAR = 3.0  # times as far as nearly all others: certainly no depth
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Glance:
+    """The known depth of one map, as much of it as is needed here."""
+
+    name: str
+    domain: str
+    n: int
+    """Number of known pixels."""
+    greatest: float
+    """Largest known depth."""
+    n_greatest: int
+    """Number of pixels that hold it."""
+    values: Float[np.ndarray, " some"]
+    """A part of the known depth, evenly spread over the map."""
+
+
+def glance(name: str, domain: str, depth: Float[np.ndarray, " known"], *, most: int = 2000) -> Glance:
+    """Look at the known depth of a map, and keep up to about ``most`` of its values."""
+    greatest = float(depth.max()) if depth.size else 0.0
+    return Glance(
+        name, domain, depth.size, greatest, int((depth == greatest).sum()), depth[:: max(1, depth.size // most)]
+    )
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One value at the top of the range that many pixels hold: it stands for "unknown", or is where a sensor ends."""
+
+    value: float
+    share: float
+    """Share of the known pixels that hold it."""
+    others: float
+    """95 % of the other values are nearer."""
+
+    @property
+    def certain(self) -> bool:
+        """True if it is so much farther than nearly all others that it cannot be depth."""
+        return self.value >= _FAR * self.others
+
+    @property
+    def max_depth(self) -> float:
+        """The value, rounded down to four digits: with it as ``max_depth`` the value is unknown."""
+        unit = 10.0 ** (math.floor(math.log10(self.value)) - 3)
+        rounded = float(f"{math.floor(self.value / unit) * unit:.4g}")
+        return rounded if rounded <= self.value else float(f"{rounded - unit:.4g}")
+
+    def __str__(self) -> str:
+        what = "it stands for unknown (a hole, the sky, the background)" if self.certain else "does it mean unknown?"
+        return (
+            f"{self.share:.1%} of the known pixels hold the largest value, {self.value:.6g} m, and nearly all others "
+            f'are nearer than {self.others:.4g} m: {what}. Write {{"max_depth": {self.max_depth:g}}} into '
+            "dataset.json, and depth from there on is unknown; a larger max_depth keeps it"
+        )
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """The findings about the depth of a data set that are not plausible."""
+
+    mark: Mark | None = None
+    most: float = POSSIBLE[1]
+    """Largest median in metres that is possible."""
+    medians: dict[str, float] = field(default_factory=dict)
+    """Domain → median of its known depth, without a certain mark."""
+    unlike: dict[str, str] = field(default_factory=dict)
+    """Name of a map whose unit is likely another one → what is said of it."""
+
+    @property
+    def impossible(self) -> list[str]:
+        """Sentences about medians that no photo has."""
+        return [
+            f"the median depth of its photos{_of(domain)} is {median:.4g} m. {UNIT}"
+            for domain, median in self.medians.items()
+            if not POSSIBLE[0] <= median <= self.most
+        ]
+
+    @property
+    def unlikely(self) -> list[str]:
+        """Sentences about medians and maps that are hardly right."""
+        found = []
+        for domain, median in self.medians.items():
+            low, high = USUAL.get(domain, (POSSIBLE[0], self.most))
+            if POSSIBLE[0] <= median <= self.most and not low <= median <= high:
+                found.append(
+                    f"the median depth of its photos{_of(domain)} is {median:.4g} m, where {low:g} to {high:g} m are "
+                    f"usual: is the unit right? {UNIT}"
+                )
+        shown = list(self.unlike.values())[:_MOST_NAMED]
+        more = len(self.unlike) - len(shown)
+        return found + shown + ([f"and {more:,} more maps unlike the others"] if more else [])
+
+
+def doubts(glances: Sequence[Glance], *, max_depth: float | None = None) -> Doubts:
+    """Judge the depth of a data set by some of its maps.
+
+    Args:
+        glances: what a look at each of them shows.
+        max_depth: metres from which on depth is unknown, where the data says so. What is left is depth then.
+    """
+    mark = find_mark(glances) if max_depth is None else None
+    limit = mark.value if mark is not None and mark.certain else math.inf
+    kept = [(each, each.values[each.values < limit]) for each in glances]
+    kept = [(each, values) for each, values in kept if len(values)]
+    medians, unlike = {}, {}
+    for domain in sorted({each.domain for each, _ in kept}):
+        of_domain = [(each, values) for each, values in kept if each.domain == domain]
+        medians[domain] = float(np.median(np.concatenate([values for _, values in of_domain])))
+        own = {each.name: float(np.median(values)) for each, values in of_domain}
+        typical = float(np.median(list(own.values())))
+        if len(own) > 2:
+            unlike |= {
+                name: f"{name}: its median depth is {median:.4g} m, and that of the others is {typical:.4g} m: is its "
+                "unit another one?"
+                for name, median in own.items()
+                if not typical / UNLIKE < median < typical * UNLIKE
+            }
+    return Doubts(mark, max(POSSIBLE[1], max_depth or 0.0), medians, unlike)
+
+
+def find_mark(glances: Sequence[Glance]) -> Mark | None:
+    """Find the one value at the top of the range that many pixels hold, and few others come near to."""
+    n, top = sum(each.n for each in glances), max((each.greatest for each in glances), default=0.0)
+    if not n:
+        return None
+    share = sum(each.n_greatest for each in glances if each.greatest == top) / n
+    values = np.concatenate([each.values for each in glances])
+    others = values[values < top]
+    near = float((others >= (1 - _BAND) * top).sum()) / len(values)
+    if share <= MANY or not len(others) or near > share / 2:
+        return None
+    return Mark(top, share, float(np.percentile(others, 95)))
+
+
+def _of(domain: str) -> str:
+    return f" of {domain}" if domain else ""

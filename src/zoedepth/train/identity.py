@@ -1,0 +1,59 @@
+"""Tell whether a run's checkpoints belong to this data and these starting weights: their state when it began."""
+
+import hashlib
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Samples
+from zoedepth.datasets.published import PublishedDataset
+from zoedepth.evaluation.identity import settings_fingerprint, weights_fingerprint
+from zoedepth.shards.dataset import ShardDataset
+
+
+def data_state(dataset: Samples, source: str) -> str:
+    """Return a hash that changes with the files of a data set (their sizes and times) and with what is said of them.
+
+    Args:
+        dataset: the data set.
+        source: where it is, as it was given.
+    """
+    digest = hashlib.sha256(str(settings_fingerprint(source)).encode())
+    if isinstance(dataset, PairDataset | PublishedDataset):
+        for pair in dataset.pairs:
+            digest.update(repr(pair).encode())
+            _add(digest, pair.files)
+    else:
+        if isinstance(dataset, ShardDataset):
+            digest.update(dataset.index.to_json().encode())
+        path = Path(source)
+        _add(digest, sorted(path.rglob("*")) if path.is_dir() else [path])
+    return digest.hexdigest()[:16]
+
+
+def start_state(init: str | None) -> list[str | None]:
+    """Return [name of the starting weights, hash of their content]; None where there is no such file."""
+    exists = init is not None and Path(init).exists()
+    return [init, weights_fingerprint(Path(init)) if init is not None and exists else None]
+
+
+def same_start(first: object, second: object) -> bool:
+    """Return True if two states of starting weights agree. Weights that are gone by now agree by their name."""
+    if not (isinstance(first, list) and isinstance(second, list)) or len(first) != len(second):
+        return first == second
+    return all(a == b or (i > 0 and None in (a, b)) for i, (a, b) in enumerate(zip(first, second, strict=True)))
+
+
+def _add(digest: "hashlib._Hash", files: Iterable[Path]) -> None:
+    for state in _states(files):
+        digest.update(state.encode())
+
+
+def _states(files: Iterable[Path]) -> Iterator[str]:
+    for file in files:
+        try:
+            found = file.stat()
+        except (OSError, ValueError):
+            yield f"{file.name}: none\n"
+            continue
+        yield f"{file.name}: {found.st_size} {found.st_mtime_ns}\n"
