@@ -27,7 +27,7 @@ def convert(
         target: folder to write; for original a file NAME.pt; for zoedepth a folder or a file NAME.safetensors.
         to: zoedepth (config.json and model.safetensors), original (isl-org/ZoeDepth's .pt) or huggingface (a folder for
             transformers).
-        name: title of the model card; None: the target's name.
+        name: title of the model card; without it, the target's name.
         licence: licence of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
         compat: facts that the file does not hold, to be written into the config: 80m says that a baseline's weights
             are KITTI's.

@@ -3,9 +3,10 @@
 import math
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+import tyro
 from rich.console import Console
 from rich.table import Table
 
@@ -28,7 +29,7 @@ NYU_FOCAL_PX, NYU_WIDTH = 518.86, 640
 """The camera of NYU Depth v2, from which indoor models learn metres."""
 
 
-def demo(*, out: Path = Path("demo"), model: str = "zoed-lite") -> int:
+def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), model: str = "zoed-lite") -> int:
     """Predict the depth of three photographs, and compare one with its measured depth.
 
     The photographs come with scikit-image; nothing is downloaded.

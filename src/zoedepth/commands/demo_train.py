@@ -5,7 +5,9 @@ import shutil
 import time
 from pathlib import Path
 from statistics import fmean
+from typing import Annotated
 
+import tyro
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -13,7 +15,9 @@ from rich.table import Table
 from zoedepth.recipes import demo
 
 
-def demo_train(*, out: Path = Path("demo-train"), scenes: int = 160, seed: int = 0) -> int:
+def demo_train(
+    *, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo-train"), scenes: int = 160, seed: int = 0
+) -> int:
     """Train a tiny model in both stages on rendered rooms and streets, without data and without a download.
 
     Type the same command again to go on after an interruption.

@@ -20,7 +20,7 @@ def export(
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     int8: bool = False,
     calibrate: Path | None = None,
-    size: tuple[int, int] | None = None,
+    size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="HEIGHT WIDTH")] = None,
     compat: tuple[str, ...] = (),
 ) -> int:
     """Write a model for another program, then run the file and check that the depth is the same.
@@ -30,10 +30,10 @@ def export(
     Args:
         model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
         to: format to write: onnx, openvino or torch-export.
-        out: file to write; None: the model's name with the suffix of the format (.onnx, .xml and .bin, .pt2).
+        out: file to write; without it, the model's name with the suffix of the format (.onnx, .xml and .bin, .pt2).
         int8: compute encoder and decoder in 8-bit integers (openvino only): faster, a little less exact.
         calibrate: folder of photos like those that the model will see; int8 needs it and uses at most 300 of them.
-        size: height and width of a torch-export, multiples of 32; None: the model's.
+        size: height and width of a torch-export, multiples of 32; without it, the model's.
         compat: see `zoedepth predict`.
     """
     from zoedepth.commands.progress import download_progress

@@ -126,7 +126,10 @@ def _explained(hint: Any, name: str, text: str, *, flag: bool, hidden: bool) -> 
         hidden: the help does not show the default.
     """
     base, *words = get_args(hint) if get_origin(hint) is Annotated else (hint,)
-    about = tyro.conf.arg(metavar=_metavar(base, name), help=text, help_behavior_hint="" if hidden else None)
+    metavar = _metavar(base, name)
+    if tyro.conf.UseAppendAction in words and metavar:
+        metavar = metavar.removesuffix("...")  # one each time
+    about = tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint="" if hidden else None)
     if flag:
         words.append(tyro.conf.FlagCreatePairsOff)  # --json, without --no-json
     return Annotated[(base, about, *words)]  # pyright: ignore[reportInvalidTypeForm]

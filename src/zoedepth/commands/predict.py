@@ -1,22 +1,31 @@
 """``zoedepth predict``: depth maps of photos, folders and globs, as files."""
 
+import os
+import signal
+import threading
 from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from zoedepth.batch import Found, Request, cpu_count, find_photos, predict_all, share_cores
+from zoedepth.batch import Found, Outcome, Request, blocked, cpu_count, find_photos, predict_all, share_cores
 from zoedepth.errors import InputError
+from zoedepth.folders import check_writable
 from zoedepth.outputs import OUTPUTS, Options
+from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
     from zoedepth.predict import Predictor
 
-EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED = 1, 2, 130
+EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
+
+_IN_JSON = {"size": "input_size", "depth": "depth", "domain": "domain", "seconds": "seconds"}
+"""Name in a line of --json → name in the sidecar."""
 
 _SAVE = tyro.conf.arg(
     metavar=f"[{{{','.join(OUTPUTS)}}} ...]",
@@ -26,7 +35,7 @@ _SAVE = tyro.conf.arg(
 
 
 def predict(
-    sources: tyro.conf.Positional[tuple[str, ...]],
+    sources: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="PHOTOS...")],
     *,
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
     model: str = "zoed-lite",
@@ -44,11 +53,13 @@ def predict(
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
     workers: int = 0,
+    json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Predict depth in metres: for each photo a 16-bit PNG, a colour preview and a JSON sidecar.
 
-    The tree of a folder is kept. A photo that cannot be read is reported and skipped. Exit codes: 0 all done, 1 some
-    failed, 2 nothing to do, 130 interrupted.
+    The tree of a folder is kept. A photo that cannot be read is reported and skipped, and so is one whose files would
+    replace something that is not from zoedepth. Exit codes: 0 all done, 1 some failed, 2 nothing to do, 130 interrupted
+    by Ctrl-C, 143 ended by SIGTERM.
 
     Args:
         sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg").
@@ -60,18 +71,20 @@ def predict(
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
         pad: reflect the borders outwards before the network, against artefacts at the border. "model" does as the model
             was made for (the released ones: yes; zoed-lite: no).
-        domain: scene type whose head to use, e.g. indoor. None leaves it to the model's router, photo by photo.
+        domain: scene type whose head to use, e.g. indoor; without it the model's router decides, photo by photo.
         relative: write relative depth instead (inverse depth without a unit): NAME_relative.png, the nearest is 65535.
             Models without a metric head (MiDaS) give nothing else. Models with one were not trained to keep it right.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
-        png_scale: levels per metre of the PNG. None: 1000 (millimetres), or 256 for a depth map beyond 65.535 m.
-        vmin: depth of the first colour in metres. None takes it from each photo. Set vmin and vmax to compare previews.
-        vmax: depth of the last colour in metres. None takes it from each photo.
+        png_scale: levels per metre of the PNG; without it 1000 (millimetres), or 256 for a depth map beyond 65.535 m.
+        vmin: depth of the first colour in metres; without it, from each photo. Give vmin and vmax to compare previews.
+        vmax: depth of the last colour in metres; without it, from each photo.
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
         device: cpu, cuda, mps, or auto for the best there is.
         precision: bfloat16 is faster on hardware made for it.
         workers: photos computed at the same time, each from file to files. 0: as many as there are cores. Each needs
             memory of its own: give 1 for large models where there is little.
+        json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
+            max in metres), domain, seconds and error.
     """
     console = Console(stderr=True, highlight=False)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
@@ -88,13 +101,24 @@ def predict(
 
     wanted = request(relative=relative)
     found = find_photos(sources, out)
+    if json_:
+        for path, reason in found.unreadable.items():
+            _print_json(path, error=reason)
     if not found.photos:
         for failure in found.failures:
             console.print(f"[red]{escape(failure)}[/]", soft_wrap=True)
+        _tell_left_out(found, console)
         searched = ", ".join(sources) or "no source given"
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
+    check_writable(out)
+    if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
+        raise InputError(
+            reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"
+        )
 
+    # Threads shall wait for each other asleep: awake, they keep the processor from those that have work to do.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
     from zoedepth.weights.load import load_model
@@ -109,33 +133,83 @@ def predict(
         predictor = Predictor(network, flip_average=flip, pad=padded, device=device, precision=precision)
         if domain is not None:
             predictor.domain_index(domain)
-        return _run(found, predictor, wanted, workers=workers, console=console)
+        return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)
 
 
-def _run(found: Found, predictor: "Predictor", wanted: Request, *, workers: int, console: Console) -> int:
+def _run(found: Found, predictor: "Predictor", wanted: Request, *, workers: int, console: Console, json_: bool) -> int:
     """Predict all photos under a progress bar, and tell how it went."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    n_photos, n_written, failures, notes = len(found.photos), 0, list(found.failures), Counter[str]()
-    interrupted = False
+    from zoedepth.commands.progress import track
+
+    n_written, failures, notes = 0, list(found.failures), Counter[str]()
+    code, state = 0, ""
     try:
-        with Progress(*columns, console=console, transient=True) as progress:
+        with _terminated_as_interrupted():
             outcomes = predict_all(found.photos, predictor, wanted, workers=workers)
-            for outcome in progress.track(outcomes, total=n_photos, description="depth"):
+            for outcome in track(outcomes, "depth", total=len(found.photos), console=console):
                 if outcome.failure is None:
                     n_written += 1
                     notes.update(outcome.notes)
                 else:
                     failures.append(outcome.failure)
+                if json_:
+                    _print_outcome(outcome)
+    except _Terminated:
+        code, state = EXIT_TERMINATED, "Terminated: "
     except KeyboardInterrupt:
-        interrupted = True
+        code, state = EXIT_INTERRUPTED, "Interrupted: "
+    except InputError as error:
+        code, state = EXIT_FAILED, "Stopped: "
+        failures.append(f"all that follow: {error}")
 
     for failure in failures:
         console.print(f"[red]failed[/] {escape(failure)}", soft_wrap=True)
     for note, n_noted in notes.items():
         console.print(f"[yellow]{n_noted}[/] {escape(note)}", soft_wrap=True)
-    state = "Interrupted: " if interrupted else ""
+    _tell_left_out(found, console)
     console.print(
-        f"{state}{n_written} of {n_photos} photos written, {len(failures)} failed, {found.n_ignored} other files",
+        f"{state}{n_written} of {len(found.photos)} photos written, {len(failures)} failed, "
+        f"{found.n_ignored} other files",
         soft_wrap=True,
     )
-    return EXIT_INTERRUPTED if interrupted else EXIT_FAILED if failures else 0
+    return code or (EXIT_FAILED if failures else 0)
+
+
+def _tell_left_out(found: Found, console: Console) -> None:
+    for reason, number in found.left_out.items():
+        console.print(f"left out: {number} {escape(reason)}", soft_wrap=True)
+
+
+def _print_outcome(outcome: Outcome) -> None:
+    photo, sidecar = outcome.photo, outcome.sidecar
+    if outcome.failure is not None:
+        return _print_json(str(photo.path), error=outcome.failure.removeprefix(f"{photo.path}: "))
+    return _print_json(str(photo.path), files={kind: str(file) for kind, file in outcome.files.items()}, about=sidecar)
+
+
+def _print_json(
+    photo: str, *, files: Mapping[str, str] | None = None, about: Mapping[str, object] | None = None, error: str = ""
+) -> None:
+    """Print a line of --json. Each has the same names."""
+    values = {name: (about or {}).get(key) for name, key in _IN_JSON.items()}
+    print(to_json({"photo": photo, "files": files or {}, **values, "error": error or None}), flush=True)
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came."""
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Let SIGTERM, with which systems and schedulers end a program, do what Ctrl-C does."""
+
+    def end(*_: object) -> None:
+        raise _Terminated
+
+    if threading.current_thread() is not threading.main_thread():  # others get no signals
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

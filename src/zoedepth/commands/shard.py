@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 import tyro
 
+from zoedepth.commands.writable import check_writable
+from zoedepth.errors import InputError
+
 if TYPE_CHECKING:
     from zoedepth.shards.writer import Packed
 
@@ -29,7 +32,7 @@ def shard(
     Args:
         source: data in any form, see docs/your-data.md.
         out: folder for NAME-000000.tar ... and index.json.
-        name: the beginning of the shards' names; for a published data set, its name. None calls them data.
+        name: the beginning of the shards' names; for a published data set, its name. Without it they are called data.
         split: which list, folder or split of the source to take.
         shard_size: how large a shard may become: 500MB, 2GB, or a number of samples.
         depth_scale: the stored value of one metre, where the source does not say it.
@@ -40,9 +43,16 @@ def shard(
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from zoedepth.opening import open_dataset
+    from zoedepth.shards.index import INDEX_FILE
     from zoedepth.shards.writer import ShardSize, write_shards
 
     size = ShardSize.parse(shard_size)
+    check_writable(out, option="OUT")
+    if not (out / INDEX_FILE).exists() and (others := sorted(out.glob(f"{name or 'data'}-*.tar"))):
+        raise InputError(
+            f"{out} has {others[0].name} without an {INDEX_FILE}: it may be somebody else's, and would be replaced. "
+            "Choose another folder or another --name"
+        )
     dataset = open_dataset(source, name=name, split=split, depth_scale=depth_scale, domain=domain)
     console = Console(stderr=True, highlight=False)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
