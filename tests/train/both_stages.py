@@ -8,14 +8,14 @@ from pathlib import Path
 
 from zoedepth.cli import main
 
-STEPS = 10
+STEPS = 6
 COMMON = [
     "--config.steps", str(STEPS), "--config.batch-size", "8", "--config.model.size", "64", "64", "--config.precision",
     "32-true", "--config.n-workers", "0", "--config.log-every", "1", "--config.pictures", "0",
     "--config.checkpoint-every", str(STEPS),
 ]  # fmt: skip
 METRIC = ["zoed_lite", "--config.optim.learning-rate", "3e-5"]
-# Medians, signs and trimming jump: with larger steps the last digit of a sum decides on the loss ten steps later.
+# Medians, signs and trimming jump: with larger steps the last digit of a sum decides on the loss some steps later.
 RELATIVE = [
     "zoed_lite_relative", "--config.optim.learning-rate", "1e-6", "--init", "zoed-lite", "--config.task-weights",
     "pareto", "--config.pareto-every", "2",

@@ -46,7 +46,7 @@ def test_two_processes_give_the_curve_of_one(trained: Path, stage: str, shown: l
     assert [line["step"] for line in two] == list(range(1, both_stages.STEPS + 1))
     for name in shown:
         values = [[line[name] for line in lines if name in line] for lines in (one, two)]
-        # Sums over halves of a batch differ in float32's last digits, which ten steps of training enlarge.
+        # Sums over halves of a batch differ in float32's last digits, which every step of training enlarges.
         assert values[1] == pytest.approx(values[0], rel=1e-4, abs=1e-4), name
         assert max(values[0]) - min(values[0]) > 0.01, "a curve, nothing that stands still"
 
