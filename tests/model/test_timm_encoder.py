@@ -1,3 +1,5 @@
+from collections import Counter
+
 import pytest
 import timm
 import torch
@@ -33,16 +35,22 @@ def test_maps_are_those_of_timms_network_channels_first(name: str, levels: tuple
         assert torch.allclose(x, y if y.shape == x.shape else y.permute(0, 3, 1, 2), atol=1e-5)
 
 
-def test_checkpointed_gradients_are_the_same():
+@pytest.mark.parametrize("name", ["convnext_atto", "tf_efficientnet_lite0"])
+def test_checkpointed_gradients_are_the_same_and_nothing_is_computed_three_times(name: str):
+    """The one network has stages that can do it; the other does it as a whole."""
     torch.manual_seed(0)
-    encoder = FeatureEncoder("convnext_atto", levels=(-2, -1))
-    pixels, gradients = torch.rand(1, 3, 32, 32), []
-    for _ in range(2):
+    encoder = FeatureEncoder(name, levels=(-2, -1)).eval()
+    pixels, gradients, calls = torch.rand(1, 3, 32, 32), [], Counter()
+    for convolution in (module for module in encoder.modules() if isinstance(module, nn.Conv2d)):
+        convolution.register_forward_pre_hook(lambda module, _: calls.update([module]))
+    for most in (1, 2):
         encoder.zero_grad()
+        calls.clear()
         encoder(pixels)[-1].square().mean().backward()
         gradients.append([p.grad.clone() for p in encoder.parameters() if p.grad is not None])
+        assert max(calls.values()) == most
         encoder.checkpoint_gradients()
-    assert any(getattr(module, "grad_checkpointing", False) for module in encoder.modules())
+    assert calls.total() > 1.5 * len(calls)
     for one, other in zip(*gradients, strict=True):
         assert torch.allclose(one, other, atol=1e-6)
 

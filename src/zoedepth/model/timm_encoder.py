@@ -64,10 +64,10 @@ class FeatureEncoder(TimmEncoder):
 
     def checkpoint_gradients(self) -> None:
         """Save memory from now on: the backward pass computes the insides of the stages again."""
-        if hasattr(self.stages, "set_grad_checkpointing"):
-            self.stages.set_grad_checkpointing(True)
-        for stage in (module for module in self.stages.modules() if hasattr(module, "grad_checkpointing")):
-            stage.grad_checkpointing = True
+        inner = [m for m in self.stages.modules() if m is not self.stages and hasattr(m, "grad_checkpointing")]
+        # Either the stages do it or the whole: with both, what is inside would be computed a third time.
+        for module in inner or [self.stages]:
+            module.grad_checkpointing = True
 
     def forward(self, x: Float[Tensor, "batch 3 height width"]) -> list[Float[Tensor, "batch _ _ _"]]:
         """Return the maps of normalised pixels."""
