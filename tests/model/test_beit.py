@@ -1,6 +1,7 @@
 from typing import Any
 
 import pytest
+import timm
 import torch
 
 from zoedepth.errors import InputError
@@ -139,6 +140,17 @@ def test_taps_choose_the_blocks_and_later_blocks_are_dropped():
     for x, block in zip(maps, (0, 2, 3, 5), strict=True):
         expected = reference_tokens(network, pixels, block)
         assert torch.allclose(x[0], expected[1:].T.unflatten(1, (4, 4)), atol=1e-4)
+
+
+def test_dropped_blocks_of_timms_network_are_not_copied():
+    network = build(taps=(0, 1, 1, 2))
+    theirs = timm.create_model("beit_base_patch16_384", pretrained=False, embed_dim=32, depth=4, num_heads=4)
+    for block in theirs.blocks:
+        block.attn.relative_position_bias_table = torch.nn.Parameter(torch.randn(7 * 7 + 3, 4))  # of 4 x 4 patches
+    network.load_timm(theirs)
+    for i, (block, table) in enumerate(zip(network.blocks, network.position_tables, strict=True)):
+        assert torch.equal(block.mlp.fc1.weight, theirs.blocks[i].mlp.fc1.weight)
+        assert torch.equal(table, theirs.blocks[i].attn.relative_position_bias_table)
 
 
 def test_width_of_the_mlps_is_exact():
