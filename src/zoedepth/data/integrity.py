@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from zoedepth.data.fit import check_fit
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.errors import InputError
@@ -21,6 +22,7 @@ MOST_BROKEN = 0.1
 
 _THREADS, _CHUNK = 8, 1024
 _TAIL = 64
+_ORIENTATION = 0x0112
 
 
 def find_broken(
@@ -76,13 +78,18 @@ def named(messages: Iterable[str], most: int = 10) -> str:
 
 
 def _suspicious(pair: Any, *, paired: bool) -> bool:
-    """Return True if a file of a pair is missing or seems to be cut short, or if photo and depth differ in size."""
+    """Return True if a file of a pair is missing or seems to be cut short, or if photo and depth may not fit."""
     try:
         if not all(_ends_well(path) for path in pair.files):
             return True
-        return paired and (size := _size(pair.target)) is not None and size != _size(pair.image)
+        if paired and (found := _size(pair.target)) is not None:
+            with Image.open(pair.image) as photo:
+                turned = "exif" in photo.info and photo.getexif().get(_ORIENTATION, 1) != 1
+                check_fit((photo.height, photo.width), found, names=(pair.image, pair.target))
+            return turned
     except Exception:  # whoever reads the pair says what is wrong with it
         return True
+    return False
 
 
 def _ends_well(path: Path) -> bool:

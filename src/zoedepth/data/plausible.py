@@ -29,8 +29,9 @@ UNIT = (
 )
 """A sentence about the unit, for messages."""
 
-_BAND = 0.02  # below the largest value: where many pixels hold that one, but few come near it, it is not a slope's end
-_FAR = 3.0  # times as far as nearly all others: certainly no depth
+_BAND = 0.1  # part of the range below the largest value, in which it is compared with others
+_TIMES = 5  # as many pixels as other values have there: then it is not merely the end of a slope
+_FAR, _HALL = 5.0, 20.0  # times as far as nearly all others, and farther than a hall is long: certainly no depth
 _MOST_NAMED = 5
 
 
@@ -71,7 +72,7 @@ class Mark:
     @property
     def certain(self) -> bool:
         """True if it is so much farther than nearly all others that it cannot be depth."""
-        return self.value >= _FAR * self.others
+        return self.value > _HALL and self.value >= _FAR * self.others
 
     @property
     def max_depth(self) -> float:
@@ -161,8 +162,9 @@ def find_mark(glances: Sequence[Glance]) -> Mark | None:
     share = sum(each.n_greatest for each in glances if each.greatest == top) / n
     values = np.concatenate([each.values for each in glances])
     others = values[values < top]
-    near = float((others >= (1 - _BAND) * top).sum()) / len(values)
-    if share <= MANY or not len(others) or near > share / 2:
+    near = others[others >= (1 - _BAND) * top]
+    usual = len(near) / len(values) / max(1, len(np.unique(near)))
+    if share <= MANY or not len(others) or share < _TIMES * usual:
         return None
     return Mark(top, share, float(np.percentile(others, 95)))
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import settings_fingerprint, weights_fingerprint
+from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.shards.dataset import ShardDataset
+from zoedepth.weights.hub import WEIGHTS
 
 
 def data_state(dataset: Samples, source: str) -> str:
@@ -33,8 +34,11 @@ def data_state(dataset: Samples, source: str) -> str:
 
 def start_state(init: str | None) -> list[str | None]:
     """Return [name of the starting weights, hash of their content]; None where there is no such file."""
-    exists = init is not None and Path(init).exists()
-    return [init, weights_fingerprint(Path(init)) if init is not None and exists else None]
+    if init is None:
+        return [None, None]
+    path = Path(init)
+    file = path / WEIGHTS if path.is_dir() else path
+    return [init, _weights(file) if file.is_file() else None]
 
 
 def same_start(first: object, second: object) -> bool:
@@ -42,6 +46,17 @@ def same_start(first: object, second: object) -> bool:
     if not (isinstance(first, list) and isinstance(second, list)) or len(first) != len(second):
         return first == second
     return all(a == b or (i > 0 and None in (a, b)) for i, (a, b) in enumerate(zip(first, second, strict=True)))
+
+
+def _weights(file: Path) -> str:
+    """Return a hash of a file of weights; of safetensors without the header, in which texts may have changed."""
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        if file.suffix == ".safetensors":
+            opened.seek(8 + int.from_bytes(opened.read(8), "little"))
+        while chunk := opened.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()[:16]
 
 
 def _add(digest: "hashlib._Hash", files: Iterable[Path]) -> None:

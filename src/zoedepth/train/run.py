@@ -23,6 +23,7 @@ from zoedepth.train.sources import load_sources
 from zoedepth.train.start import start_from
 from zoedepth.train.state import TrainState, averaged, check_same, checkpoints
 from zoedepth.train.tolerant import Tolerant
+from zoedepth.weights.checkpoint import read_checkpoint
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -93,6 +94,11 @@ def set_up(
         check_log(out)
     model = build_model(config.model)
     started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
+    if finished:
+        model.provenance = read_checkpoint(finished[-1]).provenance
+    else:
+        seen = ", ".join(f"{source.name} ({len(samples)} pairs)" for source, samples in training)
+        model.provenance = model.provenance.after_training(seen)
     if config.gradient_checkpointing:
         model.encoder.checkpoint_gradients()
     network = part(model)
@@ -135,7 +141,9 @@ def identity_of(opened: Mapping[str, Samples], data: Mapping[str, str | Path], i
         data: name of a data set → where it is.
         init: starting weights.
     """
-    whole = {name: samples.dataset if isinstance(samples, Subset) else samples for name, samples in opened.items()}
+    whole: dict[str, Any] = {
+        name: samples.dataset if isinstance(samples, Subset) else samples for name, samples in opened.items()
+    }
     return {
         "data": {name: str(path) for name, path in sorted(data.items())},
         "data_state": {name: data_state(whole[name], str(data[name])) for name in sorted(whole)},
