@@ -46,7 +46,7 @@ def test_version_is_the_packages(capsys: pytest.CaptureFixture[str]) -> None:
         (["predct", "photo.jpg"], "predict"),
         (["eval"], "evaluate"),
         (["demo_train"], "demo-train"),
-        (["data", "lst"], "data list"),
+        (["data", "lst"], "list"),
         (["data", "check", "nyuu", "folder"], "nyu"),
         (["data", "check", "--shet", "a.jpg", "x"], "--sheet"),
         (["train", "zoed-lite", "--data", "x", "--out", "o"], "zoed_lite"),

