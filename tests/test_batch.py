@@ -1,7 +1,9 @@
 """Many photos: nothing is lost, nothing is overwritten, and every photo has its outcome. No network, no console."""
 
+import errno
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from threading import Barrier
 from types import SimpleNamespace
@@ -15,7 +17,7 @@ from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, pr
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.images import read_image, to_image
-from zoedepth.outputs import OUTPUTS, Options
+from zoedepth.outputs import OUTPUTS, Options, sidecar
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
 
@@ -48,6 +50,15 @@ def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) 
 def names(folder: Path) -> set[str]:
     """Files below a folder, as paths relative to it."""
     return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+
+
+def fail_with(number: int) -> Callable[..., None]:
+    """Return a function that fails as the system does."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    return fail
 
 
 def run(
@@ -125,6 +136,144 @@ class TestFindPhotos:
         found = find_photos([str(tmp_path)], tmp_path / "out")
         assert [photo.path.name for photo in found.photos] == ["b.jpg"]
         assert "closed" in found.failures[0]
+
+    def test_links_are_followed_by_folders_and_by_globs_and_each_photo_is_found_once(self, tmp_path: Path) -> None:
+        """Two loops make Python's own glob go 2^40 ways."""
+        for name in ("disk/a.jpg", "in/b.jpg"):
+            (tmp_path / name).parent.mkdir()
+            (tmp_path / name).touch()
+        for name, target in (("day1", "../disk"), ("again", "../disk"), ("loop", "."), ("back", ".")):
+            (tmp_path / "in" / name).symlink_to(target)
+        for source in (tmp_path / "in", tmp_path / "in" / "**" / "*.jpg"):
+            assert set(self.targets(source, out=tmp_path / "out").values()) == {"b", "again/a"}
+        assert self.targets(tmp_path / "in", tmp_path / "disk", out=tmp_path / "o").keys() == {
+            "in/b.jpg",
+            "in/again/a.jpg",
+        }
+
+    def test_a_link_that_leads_nowhere_is_told(self, tmp_path: Path) -> None:
+        (tmp_path / "day1").symlink_to("/mnt/not/there")
+        found = find_photos([str(tmp_path)], tmp_path / "out")
+        assert found.failures == [f"{tmp_path / 'day1'}: the link leads nowhere: is the disk there?"]
+
+    def test_what_other_programs_keep_is_left_out_of_folders_and_globs(self, tmp_path: Path) -> None:
+        for name in ("a.jpg", "@eaDir/a.jpg/SYNOPHOTO_THUMB_XL.jpg", "b/#recycle/c.jpg", "b/._d.jpg"):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).touch()
+        sources = [str(tmp_path), str(tmp_path / "**" / "*.jpg"), str(tmp_path / "*" / "*" / "*.jpg")]
+        for source, photos in zip(sources, (["a.jpg"], ["a.jpg"], []), strict=True):
+            found = find_photos([source], tmp_path / "out")
+            assert [photo.path.name for photo in found.photos] == photos
+            assert found.n_ignored == found.left_out.total() >= 2
+            assert "#recycle" in str(found.left_out)
+        assert len(find_photos([str(tmp_path / "@eaDir")], tmp_path / "out").photos) == 1  # asked for
+
+    @pytest.mark.parametrize(
+        ("name", "advice"),
+        [("a.xyz", "files of other kinds"), ("a.CR3", "raw"), ("a.mp4", "ffmpeg"), ("a.zip", "unpack")],
+    )
+    def test_files_that_are_no_photos_are_counted_with_advice(self, tmp_path: Path, name: str, advice: str) -> None:
+        for folder in ("1", "2"):
+            (tmp_path / folder).mkdir()
+            (tmp_path / folder / name).touch()
+        ((reason, number),) = find_photos([str(tmp_path)], tmp_path / "out").left_out.items()
+        assert advice in reason
+        assert number == 2
+
+    def test_names_that_a_disk_may_take_for_one_get_files_of_their_own(self, tmp_path: Path) -> None:
+        composed, decomposed = "\u00e9.jpg", "e\u0301.png"
+        for name in (composed, decomposed, "B.jpg", "b.png"):
+            (tmp_path / name).touch()
+        assert self.targets(tmp_path, out=tmp_path / "out") == {
+            name: name for name in (composed, decomposed, "B.jpg", "b.png")
+        }
+
+
+class TestOwnFiles:
+    """What was written is known wherever it lies, and what was not is never replaced."""
+
+    EVERYTHING = Request("b", tuple(name for name, kind in OUTPUTS.items() if "depth" in kind.maps))
+
+    def test_moved_and_renamed_outputs_are_no_photos(self, tmp_path: Path) -> None:
+        write_photo(tmp_path / "in" / "a.jpg")
+        run(tmp_path / "in", tmp_path / "out", self.EVERYTHING)
+        moved = (tmp_path / "out").rename(tmp_path / "elsewhere")
+        (moved / "a_depth.png").rename(moved / "front.png")
+        (moved / "a_preview.jpg").rename(moved / "sub.jpg")
+        (moved / "a.json").unlink()
+        found = find_photos([str(moved)], tmp_path / "out")
+        assert not found.photos
+        assert found.left_out["written by zoedepth"] == 2
+
+    def test_a_photo_with_such_a_name_is_one(self, tmp_path: Path) -> None:
+        for name in ("a.jpg", "a_preview.jpg", "a_depth.png"):
+            write_photo(tmp_path / name)
+        run(tmp_path / "a.jpg", tmp_path, Request("b", ("npy",)))
+        assert {photo.path.name for photo in find_photos([str(tmp_path)], tmp_path).photos} == {
+            "a.jpg", "a_preview.jpg", "a_depth.png",
+        }  # fmt: skip
+
+    @pytest.mark.parametrize("kind", ["sidecar", *EVERYTHING.names])
+    def test_what_is_not_ours_is_kept(self, tmp_path: Path, kind: str) -> None:
+        """Other photos are predicted. An annotation that looks a little like a sidecar is one of somebody else."""
+        for name in ("a.png", "b.png"):
+            write_photo(tmp_path / "in" / name)
+        foreign = tmp_path / f"a{'.json' if kind == 'sidecar' else OUTPUTS[kind].ending}"
+        foreign.write_bytes(b'{"source": "a.png", "files": {"depth": "a_depth.png"}, "shapes": []}')
+        first, second = run(tmp_path / "in", tmp_path, self.EVERYTHING)
+        assert f"{foreign} is not from zoedepth and would be replaced" in str(first.failure)
+        assert second.failure is None
+        assert foreign.read_bytes().startswith(b'{"source"')
+        assert {name for name in names(tmp_path) if name.startswith("a")} == {foreign.name}
+
+    def test_truth_in_the_place_of_our_depth_is_not_ours(self, tmp_path: Path) -> None:
+        """Although our sidecar lists a file of this name."""
+        photo = write_photo(tmp_path / "in" / "a.png")
+        run(photo, tmp_path / "out")
+        truth = write_photo(tmp_path / "out" / "a_depth.png").read_bytes()
+        (outcome,) = run(photo, tmp_path / "out")
+        assert "not from zoedepth" in str(outcome.failure)
+        assert (tmp_path / "out" / "a_depth.png").read_bytes() == truth
+
+    def test_depth_of_another_photo_is_kept(self, tmp_path: Path) -> None:
+        for name in ("left/a.png", "right/a.png", "left/a.jpg"):
+            write_photo(tmp_path / name, seed=len(name))
+        run(tmp_path / "left" / "a.png", tmp_path / "out")
+        before = (tmp_path / "out" / "a_depth.png").read_bytes()
+        for other in ("right/a.png", "left/a.jpg"):
+            (outcome,) = run(tmp_path / other, tmp_path / "out")
+            assert f"a.json is of {tmp_path / 'left' / 'a.png'}, another photo" in str(outcome.failure)
+        assert (tmp_path / "out" / "a_depth.png").read_bytes() == before
+
+    def test_a_photo_keeps_its_files_however_its_path_is_typed(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        photo = write_photo(tmp_path / "in" / "a.png")
+        monkeypatch.chdir(photo.parent)
+        for typed in (photo, Path("a.png"), Path("../in/./a.png")):
+            (outcome,) = run(typed, tmp_path / "out")
+            assert outcome.failure is None
+
+    def test_files_of_earlier_runs_stay_known(self, tmp_path: Path) -> None:
+        photo = write_photo(tmp_path / "in" / "a.png")
+        for kind in ("npy", "depth", "npz", "npy"):
+            (outcome,) = run(photo, tmp_path / "out", Request("b", (kind,)))
+            assert outcome.failure is None
+            assert outcome.files.keys() == {kind, "sidecar"}
+        assert outcome.sidecar["files"] == {"npy": "a_depth.npy"}
+        assert outcome.sidecar["other_files"] == ["a.npz", "a_depth.png"]
+
+    def test_a_photo_that_fails_leaves_its_files_as_they_were(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        photo = write_photo(tmp_path / "in" / "a.png")
+        run(photo, tmp_path / "out")
+        before = {name: (tmp_path / "out" / name).read_bytes() for name in names(tmp_path / "out")}
+        write_photo(photo, seed=1)
+        monkeypatch.setattr(sidecar, "write_sidecar", fail_with(errno.EFBIG))
+        (outcome,) = run(photo, tmp_path / "out")
+        assert "its files cannot be written" in str(outcome.failure)
+        assert {name: (tmp_path / "out" / name).read_bytes() for name in names(tmp_path / "out")} == before
 
 
 class TestPredictPhoto:
@@ -256,6 +405,56 @@ class TestPredictAll:
         assert [outcome.failure is None for outcome in outcomes] == [True, False, True]
         assert "1.png: RuntimeError: out of memory" in str(outcomes[1].failure)
         assert not {name for name in names(tmp_path / "out") if name.startswith("1")}
+
+    @pytest.mark.parametrize(
+        ("number", "goes_on"), [(errno.ENOSPC, False), (errno.EDQUOT, False), (errno.EFBIG, True), (errno.EACCES, True)]
+    )
+    def test_a_full_disk_ends_the_work_and_one_bad_file_does_not(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, goes_on: bool
+    ) -> None:
+        photos = self.twenty(tmp_path)
+        write, failing = sidecar.write_sidecar, fail_with(number)
+        monkeypatch.setattr(
+            sidecar, "write_sidecar", lambda path, values: (failing if path.name == "01.json" else write)(path, values)
+        )
+        told, end = self.told(photos)
+        assert [outcome.photo.path.name for outcome in told if outcome.failure] == ["01.png"]
+        assert (len(told) == 20, end == "") == (goes_on, goes_on)
+        assert goes_on or ("nothing more can be written" in end and os.strerror(number) in end)
+        stems = [outcome.photo.target.name for outcome in told if outcome.failure is None]
+        written = {f"{stem}{end}" for stem in stems for end in ("_depth.png", "_preview.jpg", ".json")}
+        assert names(tmp_path / "out") == written
+
+    def test_a_folder_that_becomes_unwritable_ends_the_work(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        photos = self.twenty(tmp_path)
+        monkeypatch.setattr(sidecar, "write_sidecar", fail_with(errno.EACCES))
+        monkeypatch.setattr("zoedepth.folders.TemporaryFile", fail_with(errno.EACCES))
+        told, end = self.told(photos)
+        assert 1 <= len(told) < 20
+        assert end.startswith("cannot write to")
+        assert names(tmp_path / "out") == set()
+
+    def twenty(self, folder: Path) -> list[Photo]:
+        for seed in range(20):
+            write_photo(folder / "in" / f"{seed:02d}.png", seed=seed)
+        return find_photos([str(folder / "in")], folder / "out").photos
+
+    def told(self, photos: list[Photo]) -> tuple[list[Outcome], str]:
+        """Return the outcomes, and the error that ended them."""
+        outcomes = []
+        try:
+            for outcome in predict_all(photos, Brightness(), REQUEST):
+                outcomes.append(outcome)
+        except InputError as error:
+            return outcomes, str(error)
+        return outcomes, ""
+
+    def test_at_least_one_worker(self, tmp_path: Path) -> None:
+        for workers in (0, -1):
+            with pytest.raises(InputError, match="workers must be 1 or more"):
+                next(predict_all([], Brightness(), REQUEST, workers=workers))
 
     def test_several_workers_run_at_the_same_time_and_write_what_one_writes(self, tmp_path: Path) -> None:
         for seed in range(6):

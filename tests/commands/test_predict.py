@@ -1,7 +1,10 @@
 """The predict command: its options arrive, and it says how it went. ``tests/test_batch.py`` tests the work itself."""
 
+import errno
 import json
+import os
 import re
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +124,55 @@ class TestOptions:
         printed = " ".join(capsys.readouterr().out.replace("│", " ").split())
         assert all(f"{name}: NAME{output.ending}, {output.summary}" in printed for name, output in OUTPUTS.items())
 
+    def test_json_has_a_line_for_each_photo_on_standard_output(
+        self, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        write_photo(tmp_path / "in" / "a.png", size=(30, 40))
+        (tmp_path / "in" / "b.png").write_bytes(b"no picture")
+        assert predict(tmp_path / "in", tmp_path / "gone.jpg", "--no-flip", "--json", out=tmp_path / "out") == 1
+        captured = capsys.readouterr()
+        gone, good, bad = map(json.loads, captured.out.splitlines())
+        sidecar = json.loads((tmp_path / "out" / "a.json").read_text())
+        assert good == {
+            "photo": str(tmp_path / "in" / "a.png"),
+            "files": {
+                "depth": str(tmp_path / "out" / "a_depth.png"),
+                "preview": str(tmp_path / "out" / "a_preview.jpg"),
+                "sidecar": str(tmp_path / "out" / "a.json"),
+            },
+            "size": [30, 40],
+            **{key: sidecar[key] for key in ("depth", "domain", "seconds")},
+            "error": None,
+        }
+        assert good["depth"].keys() == {"min", "median", "max"}
+        assert (gone["photo"], gone["error"]) == (str(tmp_path / "gone.jpg"), "no such file or folder")
+        assert "is not an image" in bad["error"]
+        assert good.keys() == bad.keys() == gone.keys()
+        assert bad["files"] == {}
+        assert "1 of 2 photos written" in captured.err
+
+    def test_out_must_be_writable(
+        self, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        """Found before a model is loaded."""
+        monkeypatch.setattr("zoedepth.weights.load.load_model", None)
+        (tmp_path / "file").touch()
+        assert predict(photo, out=tmp_path / "file" / "out") == 2
+        assert f"cannot write to {tmp_path / 'file' / 'out'}" in capsys.readouterr().err
+
+    def test_out_must_not_hold_files_of_others(
+        self, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        """Where one photo can be written, it is; where none can, that is said before a model is loaded."""
+        (tmp_path / "photo.json").write_text('{"shapes": []}')
+        other = write_photo(tmp_path / "other.png")
+        assert predict(photo, other, out=tmp_path) == 1
+        assert "1 of 2 photos written, 1 failed" in capsys.readouterr().err
+        monkeypatch.setattr("zoedepth.weights.load.load_model", None)
+        assert predict(photo, out=tmp_path) == 2
+        assert "photo.json is not from zoedepth and would be replaced" in capsys.readouterr().err
+        assert (tmp_path / "photo.json").read_text() == '{"shapes": []}'
+
     def test_out_must_be_a_folder(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert predict(photo, out=photo) == 2
         assert "is a file: give a folder" in capsys.readouterr().err
@@ -149,6 +201,52 @@ class TestWhatItSays:
             assert predict(source, out=tmp_path / "out") == 2
             assert "No photos to predict" in capsys.readouterr().err
         assert not (tmp_path / "out").exists()
+
+    def test_what_was_left_out_and_why(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        write_photo(tmp_path / "@eaDir" / "a.png" / "SYNOPHOTO_THUMB_M.jpg")
+        for name in ("a.CR3", "b.cr3"):
+            (tmp_path / name).touch()
+        assert predict(tmp_path, out=tmp_path / "out") == 2
+        printed = capsys.readouterr().err
+        assert "left out (1): in @eaDir" in printed
+        assert "left out (2): .cr3 files, which are raw: develop them" in printed
+        assert "3 other files" in printed
+
+    def test_a_full_disk(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for index in range(9):
+            write_photo(tmp_path / "in" / f"{index}.jpg")
+
+        def full(*_: object) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr("zoedepth.outputs.sidecar.write_sidecar", full)
+        assert predict(tmp_path / "in", "--no-flip", "--workers", "1", out=tmp_path / "out") == 1
+        printed = capsys.readouterr().err
+        assert "Make room, and run it again" in printed
+        assert "Stopped: 0 of 9 photos written" in printed
+
+    def test_ended_by_the_system(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        call = Predictor.__call__
+
+        def end(self: Predictor, image: object, *, domain: str | None = None) -> DepthMap:
+            if Path(str(image)).name == "1.jpg":
+                os.kill(os.getpid(), signal.SIGTERM)
+            return call(self, image, domain=domain)
+
+        monkeypatch.setattr(Predictor, "__call__", end)
+        before = signal.getsignal(signal.SIGTERM)
+        photos = [write_photo(tmp_path / f"{index}.jpg") for index in range(20)]
+        assert predict(*photos, "--no-flip", "--no-preview", "--workers", "1", out=tmp_path / "out") == 143
+        said = re.search(r"Terminated: (\d+) of 20 photos written", capsys.readouterr().err)
+        assert said is not None
+        written = names(tmp_path / "out")  # the signal may come between a photo's end and its count
+        assert 2 * int(said[1]) <= len(written) < 40
+        assert {Path(name).suffix for name in written} == {".png", ".json"}
+        assert signal.getsignal(signal.SIGTERM) is before
 
     def test_what_the_files_could_not_hold(
         self, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -1,27 +1,71 @@
-"""Downloads as they are shown: a bar on a terminal, lines elsewhere."""
+"""Work and downloads as they are shown: a bar on a terminal, lines elsewhere."""
 
 import pytest
 
-from zoedepth.commands.progress import download_progress
+from zoedepth.commands import progress as progress_module
+from zoedepth.commands.progress import download_progress, track
 
 
-def test_lines_at_the_start_after_every_100_mb_and_at_the_end(capfd: pytest.CaptureFixture[str]):
-    total = 250_000_000
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time that the module sees, in its only item."""
+    now = [0.0]
+    monkeypatch.setattr(progress_module, "monotonic", lambda: now[0])
+    return now
+
+
+def test_lines_of_a_download_at_the_start_every_15_seconds_and_at_the_end(
+    clock: list[float], capfd: pytest.CaptureFixture[str]
+) -> None:
     with download_progress() as progress:
-        for done in range(0, total + 1, 10_000_000):
-            progress("ZoeD [large]", done, total)
+        for clock[0], done in enumerate(range(0, 41)):
+            progress("ZoeD [large]", done * 1_000_000, 40_000_000)
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err.splitlines() == [
-        f"downloading ZoeD [large]: {megabytes} of 250 MB" for megabytes in (0, 100, 200, 250)
+        f"downloading ZoeD [large]: {megabytes} of 40 MB" for megabytes in (0, 15, 30, 40)
     ]
 
 
-def test_lines_of_a_file_of_unknown_length(capfd: pytest.CaptureFixture[str]):
+def test_lines_of_a_file_of_unknown_length(clock: list[float], capfd: pytest.CaptureFixture[str]):
     with download_progress() as progress:
-        progress("ZoeD", 0, None)
-        progress("ZoeD", 150_000_000, None)
+        for clock[0], done in ((0, 0), (10, 100), (20, 150)):
+            progress("ZoeD", done * 1_000_000, None)
     assert capfd.readouterr().err.splitlines() == ["downloading ZoeD: 0 MB", "downloading ZoeD: 150 MB"]
+
+
+class TestTrack:
+    def test_a_line_every_15_seconds_says_how_far_it_is_and_how_long_it_takes(
+        self, clock: list[float], capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        for item in track(range(1000), "depth [m]"):
+            clock[0] = item * 0.1
+        captured = capfd.readouterr()
+        assert captured.out == ""
+        lines = captured.err.splitlines()
+        assert lines[:2] == ["depth [m]: 151 of 1,000, 84 s left", "depth [m]: 301 of 1,000, 70 s left"]
+        assert len(lines) == 6
+
+    def test_what_was_done_before_counts(self, clock: list[float], capfd: pytest.CaptureFixture[str]) -> None:
+        for item in track(iter(range(100)), "shards", total=2000, first=1000):
+            clock[0] = item * 2.0
+        assert capfd.readouterr().err.splitlines()[0] == "shards: 1,009 of 2,000, 29 min left"
+
+    def test_short_work_and_work_of_unknown_length(self, clock: list[float], capfd: pytest.CaptureFixture[str]) -> None:
+        assert list(track(range(1000), "depth")) == list(range(1000))
+        assert capfd.readouterr().err == ""
+        for clock[0] in track(iter((5.0, 20.0, 30.0)), "files"):
+            pass
+        assert capfd.readouterr().err.splitlines() == ["files: 2"]
+
+    def test_a_bar_on_a_terminal(
+        self, clock: list[float], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setenv("FORCE_COLOR", "1")  # to rich, a terminal
+        assert list(track(range(3), "depth [m]")) == [0, 1, 2]
+        printed = capfd.readouterr().err
+        assert "depth [m]" in printed
+        assert "3/3" in printed
 
 
 def test_bar_on_a_terminal_has_the_name(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]):

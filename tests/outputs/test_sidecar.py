@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from zoedepth.outputs import Maps
-from zoedepth.outputs.sidecar import describe, write_sidecar
+from zoedepth.outputs.sidecar import describe, of_same_photo, write_sidecar
 
 DEPTH = np.array([[1, 2, 9]], np.float32)
 
@@ -40,3 +40,19 @@ def test_is_written_as_json_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_sidecar(tmp_path / "b.json", {"median": float("nan")})
     assert not (tmp_path / "b.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("written", "photo", "same"),
+    [
+        ("photos/a.jpg", "photos/a.jpg", True),
+        ("photos/a.jpg", "/home/me/photos/a.jpg", True),
+        ("/home/me/photos/a.jpg", "a.jpg", True),
+        ("photos\\a.jpg", "./photos/a.jpg", True),
+        ("left/a.jpg", "right/a.jpg", False),
+        ("a.jpg", "a.png", False),
+        ("photos/a.jpg", "photos/day/../b.jpg", False),
+    ],
+)
+def test_of_which_photo_it_is(written: str, photo: str, same: bool) -> None:
+    assert of_same_photo({"source": written}, Path(photo)) is same

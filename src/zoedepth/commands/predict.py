@@ -176,7 +176,7 @@ def _run(found: Found, predictor: "Predictor", wanted: Request, *, workers: int,
 
 def _tell_left_out(found: Found, console: Console) -> None:
     for reason, number in found.left_out.items():
-        console.print(f"left out: {number} {escape(reason)}", soft_wrap=True)
+        console.print(f"left out ({number}): {escape(reason)}", soft_wrap=True)
 
 
 def _print_outcome(outcome: Outcome) -> None:

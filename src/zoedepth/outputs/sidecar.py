@@ -1,15 +1,20 @@
 """The JSON beside the other files of a photo: where they came from, and how to read them."""
 
-import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.outputs.output import Maps
+from zoedepth.stored import read_json, readable, to_json
 
 ENDING = ".json"
+
+_MAX_BYTES = 1 << 16
 
 
 def describe(
@@ -41,7 +46,37 @@ def _statistics(maps: Maps) -> dict[str, object]:
 def write_sidecar(path: Path, values: Mapping[str, object]) -> None:
     """Write a sidecar as JSON, whole or not at all."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(to_json(values, indent=2) + "\n", encoding="utf-8")
+
+
+def read_sidecar(path: Path) -> dict[str, Any] | None:
+    """Return the content of a sidecar; None where there is no file, or one that this package did not write."""
+    if not path.is_file():
+        return None
+    try:
+        values = read_json(path, max_bytes=_MAX_BYTES)
+    except InputError:
+        return None
+    files = values.get("files")
+    if not isinstance(values.get("zoedepth"), str) or not isinstance(values.get("source"), str):
+        return None
+    return values if isinstance(files, dict) and all(isinstance(name, str) for name in files.values()) else None
+
+
+def listed(sidecar: Mapping[str, Any]) -> set[str]:
+    """Return the names of the files that a sidecar knows: those it describes, and those of earlier runs."""
+    others = sidecar.get("other_files")
+    return {*sidecar["files"].values(), *map(str, others if isinstance(others, list) else ())}
+
+
+def of_same_photo(sidecar: Mapping[str, Any], photo: Path) -> bool:
+    """Return False if a sidecar tells of another photo than this one.
+
+    Sidecars keep the path as it was typed, so that "photos/a.jpg" and "/home/me/photos/a.jpg" may be one photo.
+    """
+    paths = (os.path.normpath(path).replace("\\", "/") for path in (sidecar["source"], readable(str(photo))))
+    one, other = (path.split("/")[::-1] for path in paths)
+    return all(a == b for a, b in zip(one, other, strict=False))
 
 
 def rounded(values: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,52 @@
+"""The files that this package wrote, known by their content and their sidecar, wherever they lie: by no name alone."""
+
+from pathlib import Path
+
+from zoedepth.images import OWN_MARK
+from zoedepth.outputs import sidecar as sidecars
+from zoedepth.stored import SCALE_KEY, readable
+
+# Pictures have it in their EXIF, depth maps in a chunk of text.
+_MARKS = tuple(mark.encode() for mark in (OWN_MARK, f"tEXt{SCALE_KEY}\0", "tEXtRelativeMin\0"))
+_HEAD = 512  # bytes; WebP has its texts at the end
+
+
+def is_own_file(file: Path) -> bool:
+    """Return True if this package wrote the file.
+
+    Depth maps as PNG, and pictures, say it in their first bytes, and sidecars by what they hold. Arrays are known by
+    the sidecar that lists them, and so are the previews of older versions.
+    """
+    if file.suffix.lower() == sidecars.ENDING:
+        return sidecars.read_sidecar(file) is not None
+    return has_own_mark(file) or (file.suffix.lower() != ".png" and _is_listed(file))
+
+
+def has_own_mark(file: Path) -> bool:
+    """Return True if the file says in its first or last bytes that it is a depth map or a picture of this package."""
+    if not file.is_file():
+        return False
+    try:
+        with file.open("rb") as opened:
+            content = opened.read(_HEAD)
+            if content.startswith(b"RIFF"):
+                opened.seek(-_HEAD, 2)
+                content += opened.read()
+    except OSError:
+        return False
+    return any(mark in content for mark in _MARKS)
+
+
+def _is_listed(file: Path) -> bool:
+    name = readable(file.name)
+    for stem in _stems(file.name):
+        sidecar = sidecars.read_sidecar(file.with_name(stem + sidecars.ENDING))
+        if sidecar is not None and name in sidecars.listed(sidecar):
+            return True
+    return False
+
+
+def _stems(name: str) -> list[str]:
+    """Return what may be the name of the photo in the name of a file: "a" and "a_depth" in "a_depth.npy"."""
+    stem = name.rpartition(".")[0]
+    return [stem, stem.rpartition("_")[0]] if "_" in stem else [stem]
