@@ -14,7 +14,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights.exported import ExportedModel
-from zoedepth.weights.load import available_models, load_model
+from zoedepth.weights.load import available_models, find, load_model
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import save_model
 
@@ -120,3 +120,15 @@ def test_from_pretrained_refuses_an_exported_file(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("zoedepth.weights.load.load_exported", lambda *_, **__: Exported())
     with pytest.raises(InputError, match=r"model.onnx is an exported model.*zoedepth.load_model"):
         ZoeDepth.from_pretrained("model.onnx")
+
+
+def test_folder_of_a_training_is_its_newest_checkpoint(tiny_model: ZoeDepth, tmp_path: Path):
+    for number, bias in ((90, 1.0), (1000, 2.0), (200, 3.0)):
+        tiny_model.encoder.network.cls_token.data.fill_(bias)
+        save_model(tiny_model, tmp_path / f"run/step_{number:06d}/model.safetensors")
+    (tmp_path / "run/step_002000").mkdir()  # half written
+    for folder in (tmp_path / "run", tmp_path):  # that of a fine-tuning has the run in it
+        assert find(folder) == tmp_path / "run/step_001000"
+        assert (load_model(folder).encoder.network.cls_token == 2).all()
+    save_model(tiny_model, tmp_path / "model.safetensors")
+    assert find(tmp_path) == tmp_path, "weights of its own go first"

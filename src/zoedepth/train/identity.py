@@ -10,6 +10,7 @@ from zoedepth.datasets.published import PublishedDataset
 from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.weights.hub import WEIGHTS
+from zoedepth.weights.load import find
 
 
 def data_state(dataset: Samples, source: str) -> str:
@@ -36,7 +37,7 @@ def start_state(init: str | None) -> list[str | None]:
     """Return [name of the starting weights, hash of their content]; None where there is no such file."""
     if init is None:
         return [None, None]
-    path = Path(init)
+    path = find(init) if Path(init).is_dir() else Path(init)
     file = path / WEIGHTS if path.is_dir() else path
     return [init, _weights(file) if file.is_file() else None]
 
