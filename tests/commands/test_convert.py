@@ -103,7 +103,7 @@ class TestPush:
         """In a process of its own, because the hub's address is read when it starts."""
         code = (
             "import sys; from zoedepth.cli import main\n"
-            "assert main(['push', sys.argv[1], 'me/model', '--to', 'huggingface']) == 0\n"
+            "assert main(['push', sys.argv[1], 'me/model', '--to', 'huggingface', '--licence', 'mit']) == 0\n"
             "assert main(['convert', 'me/model', sys.argv[2], '--to', 'zoedepth']) == 0\n"
         )
         with FakeHub({}) as hub:
@@ -112,7 +112,27 @@ class TestPush:
             done = subprocess.run(command, env=environment, capture_output=True, text=True)
             assert done.returncode == 0, done.stderr
             assert "me/model" in done.stdout
-        assert read_checkpoint(tmp_path / "back").config == read_checkpoint(folder).config
+        back = read_checkpoint(tmp_path / "back")
+        assert back.config == read_checkpoint(folder).config
+        assert back.provenance.licence == "mit"
+
+    def test_terms_training_data_and_numbers_are_inherited(self, tmp_path: Path, capsys):
+        assert main(["convert", "zoed-lite", str(tmp_path / "lite"), "--to", "zoedepth"]) == 0
+        assert main(["push", str(tmp_path / "lite/model.safetensors"), "me/lite", "--dry-run"]) == 0
+        pushed, converted = capsys.readouterr().out, (tmp_path / "lite/README.md").read_text()
+        for card in (pushed, converted):
+            assert "license: other\nlicense_name: non-commercial-research\n" in card
+            assert "| NYU Depth v2, 654 test pairs | 0.179 |" in card
+            assert "CC BY-NC-SA 3.0" in card
+        assert main(["push", "zoed-lite", "me/lite", "--dry-run", "--licence", "mit"]) == 2
+        assert main(["convert", "zoed-lite", str(tmp_path / "mit"), "--to", "zoedepth", "--licence", "mit"]) == 2
+        assert capsys.readouterr().err.count("stay non-commercial") == 2
+        assert not (tmp_path / "mit").exists()
+
+    def test_weights_without_a_licence_are_not_uploaded(self, folder: Path, capsys):
+        for options in ([], ["--dry-run"], ["--licence", "unknown"]):
+            assert main(["push", str(folder), "me/model", *options]) == 2
+            assert "licence of these weights is not known" in capsys.readouterr().err
 
     def test_dry_run_prints_the_card_and_needs_no_network(self, folder: Path, capsys):
         assert main(["push", str(folder), "me/model", "--dry-run", "--licence", "mit"]) == 0

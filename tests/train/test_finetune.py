@@ -16,6 +16,7 @@ from zoedepth.cli import main
 from zoedepth.config import EncoderConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.provenance import Provenance
 from zoedepth.train import finetune as module
 from zoedepth.train.config import FinetuneOptions
 from zoedepth.train.finetune import Plan, plan, steps_for
@@ -26,6 +27,7 @@ from zoedepth.weights.load import load_model, save_model
 def init(tiny_model: ZoeDepth, tmp_path: Path) -> str:
     """A two-domain model to start from."""
     path = tmp_path / "init.safetensors"
+    tiny_model.provenance = Provenance("non-commercial research", "NYU", {"nyu": {"rel": 0.5}})
     save_model(tiny_model, path)
     return str(path)
 
@@ -143,6 +145,12 @@ def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str,
     assert load_model(out / "model.safetensors").config == load_model(init).config
     card = (out / "README.md").read_text()
     assert "rooms (4 pairs)" in card
+    # Terms and training data are inherited, numbers are measured anew.
+    assert "license_name: non-commercial-research\n" in card
+    about = load_model(out / "model.safetensors").provenance
+    assert about.licence == "non-commercial research"
+    assert about.trained_on == "rooms (4 pairs); before that: NYU"
+    assert [name.partition(" (")[0] for name in about.measured] == ["rooms"]
     assert f"{measured['after']['metrics']['rel']:.3f}" in card
 
     # Again: everything is there, nothing is trained, the result is the same.

@@ -8,14 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from zoedepth.config import INDOOR, Domain, ModelConfig, RouterConfig
-from zoedepth.metrics import Metrics
 from zoedepth.presets import PRESETS
 from zoedepth.weights.card import model_card
 
 NK = PRESETS["zoed-m12-nk"]
-METRICS = Metrics(
-    rel=0.075, rmse=0.27, log10=0.032, delta1=0.955, delta2=0.995, delta3=0.999, silog=8.0, sq_rel=0.02, rmse_log=0.1
-)
+METRICS = {
+    "rel": 0.075, "rmse": 0.27, "log10": 0.032, "delta1": 0.955, "delta2": 0.995, "delta3": 0.999, "silog": 8.0,
+    "sq_rel": 0.02, "rmse_log": 0.1,
+}  # fmt: skip
 
 
 def card(
@@ -86,7 +86,7 @@ def test_metrics_are_in_the_table_and_for_the_hub():
     parsed = ModelCard(model_card(NK, name="lab/model", layout="zoedepth", metrics={"NYU | test": METRICS}))
     assert parsed.data["model_name"] == "lab/model"
     results = parsed.data["eval_results"]
-    assert {result.metric_type: result.metric_value for result in results} == vars(METRICS)
+    assert {result.metric_type: result.metric_value for result in results} == METRICS
     assert {(result.dataset_name, result.dataset_type, result.task_type) for result in results} == {
         ("NYU | test", "nyu-test", "depth-estimation")
     }
@@ -94,12 +94,24 @@ def test_metrics_are_in_the_table_and_for_the_hub():
     assert "Not run" not in parsed.text
 
 
+def test_metrics_that_were_not_measured_are_not_run_and_unknown_ones_are_left_out():
+    metrics = {"nyu": {"rel": 0.1, "delta1": 0.9}, "kitti": {"rel": 0.2, "a | b": 1.0}}
+    parsed = ModelCard(model_card(NK, name="lab/model", layout="zoedepth", metrics=metrics))
+    assert (
+        "| data | REL | delta1 |\n| --- | --- | --- |\n| nyu | 0.100 | 0.900 |\n| kitti | 0.200 | not run |"
+        in parsed.text
+    )
+    assert {(result.dataset_name, result.metric_type) for result in parsed.data["eval_results"]} == {
+        ("nyu", "rel"), ("nyu", "delta1"), ("kitti", "rel")
+    }  # fmt: skip
+
+
 def test_data_sets_whose_names_look_alike_to_the_hub_stay_apart():
-    metrics = {"a b": METRICS, "A-B": replace(METRICS, rel=0.5), "房间": METRICS, "街道": METRICS}
+    metrics = {"a b": METRICS, "A-B": METRICS | {"rel": 0.5}, "房间": METRICS, "街道": METRICS}
     results = ModelCard(model_card(NK, name="lab/model", layout="zoedepth", metrics=metrics)).data["eval_results"]
     rel = {result.dataset_name: result.metric_value for result in results if result.metric_type == "rel"}
     assert rel == {"a b": 0.075, "A-B": 0.5, "房间": 0.075, "街道": 0.075}
-    assert len(results) == 4 * len(vars(METRICS))
+    assert len(results) == 4 * len(METRICS)
 
 
 def test_own_layout_is_loaded_with_zoedepth():

@@ -69,9 +69,9 @@ def push(folder: Path, name: str, more: str = "") -> str:
     return f"push_folder(Path({str(folder)!r}), {name!r}{more})"
 
 
-def check(folder: str) -> None:
+def check(folder: str, expected: dict[str, bytes] = MODEL) -> None:
     files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
-    assert files == MODEL
+    assert files == expected
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
@@ -117,15 +117,15 @@ def test_model_is_downloaded_once_and_then_works_without_network(hub: FakeHub, h
     assert run(hub.environment(home, offline=True), "fetch('lab/model')", "cached('lab/model')") == [folder, "True"]
 
 
-def test_only_weights_and_configs_are_downloaded_and_of_one_commit(hub: FakeHub, home: Path):
+def test_only_weights_configs_and_card_are_downloaded_and_of_one_commit(hub: FakeHub, home: Path):
     """Weights are asked for by the commit of the config, so that a push in between cannot mix two models."""
     hub.repos["lab/model"] |= {"pytorch_model.bin": b"danger", "modeling.py": b"danger", "README.md": b"# Model"}
     hub.repos["lab/model"]["preprocessor_config.json"] = b"{}"
     (folder,) = run(hub.environment(home), "fetch('lab/model')")
     files = {file.name: file.read_bytes() for file in Path(folder).iterdir()}
-    assert files == MODEL | {"preprocessor_config.json": b"{}"}
+    assert files == MODEL | {"preprocessor_config.json": b"{}", "README.md": b"# Model"}
     asked = [request.split("/")[-2:] for request in hub.requests if "/resolve/" in request]
-    assert {file for _, file in asked} == {*MODEL, "preprocessor_config.json"}
+    assert {file for _, file in asked} == {*MODEL, "preprocessor_config.json", "README.md"}
     assert {revision for revision, file in asked if file == "model.safetensors"} == {hub.commit("lab/model")}
 
 
@@ -213,7 +213,7 @@ def test_pushed_model_is_what_was_in_the_folder(hub: FakeHub, home: Path, folder
     assert hub.repos["lab/pickle"] == pushed | {"pytorch_model.bin": b"danger", "modeling.py": b"danger"}
     assert hub.commits == [("lab/new", "First"), ("lab/pickle", "Upload a ZoeDepth model")]
     assert "lab/new" not in hub.private
-    check(fetched)
+    check(fetched, MODEL | {"README.md": pushed["README.md"]})
 
 
 def test_private_model_is_private_or_refused(hub: FakeHub, home: Path, folder: Path):

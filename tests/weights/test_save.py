@@ -13,6 +13,7 @@ from zoedepth.config import to_dict
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import ENCODERS
+from zoedepth.provenance import Provenance
 from zoedepth.weights.load import load_model
 from zoedepth.weights.save import save_model
 
@@ -58,6 +59,16 @@ def test_config_in_the_file_is_plain_json(tiny_model: ZoeDepth, file: Path):
     with safe_open(str(file), framework="pt") as opened:
         config = json.loads(opened.metadata()["config"])
     assert config == json.loads(json.dumps(to_dict(tiny_model.config)))
+
+
+def test_the_same_model_gives_the_same_file(tiny_model: ZoeDepth, tmp_path: Path):
+    """safetensors itself shuffles the texts of the header."""
+    tiny_model.provenance = Provenance("mit", "rooms", {"rooms": {"rel": 0.1}})
+    contents = set()
+    for name in range(8):
+        save_model(tiny_model, tmp_path / f"{name}.safetensors")
+        contents.add((tmp_path / f"{name}.safetensors").read_bytes())
+    assert len(contents) == 1
 
 
 # --- failed saves -----------------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ def convert(
         to: zoedepth (config.json and model.safetensors), original (isl-org/ZoeDepth's .pt) or huggingface (a folder for
             transformers).
         name: title of the model card; without it, the target's name.
-        licence: licence of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
+        licence: licence of the weights, as the Hub writes it: mit, cc-by-nc-4.0 ...; without it, that of the source.
         compat: facts that the file does not hold, to be written into the config: 80m says that a baseline's weights
             are KITTI's.
     """
@@ -63,10 +63,12 @@ def push(
         repo: repository to publish in, owner/name; it is made if it does not exist.
         to: zoedepth, or huggingface for people who load it with transformers; this package loads both.
         private: make a new repository private.
-        licence: licence of the weights, for the model card, as the Hub writes it: mit, cc-by-nc-4.0 ...
+        licence: licence of the weights, as the Hub writes it: mit, cc-by-nc-4.0 ...; without it, that of the source.
+            Weights of which neither says one are not uploaded.
         dry_run: print the model card and upload nothing.
     """
     from zoedepth.commands.progress import download_progress
+    from zoedepth.provenance import require_licence
     from zoedepth.weights.card import model_card
     from zoedepth.weights.checkpoint import read_checkpoint
     from zoedepth.weights.hub import is_hub_id
@@ -79,8 +81,14 @@ def push(
         path = find(source, progress=progress)
     checkpoint = read_checkpoint(path)
     model = model_of(checkpoint, source=path)
+    about = checkpoint.provenance.with_licence(licence)
+    require_licence(about)
     if dry_run:
-        print(model_card(checkpoint.config, name=repo, layout=to, licence=licence))
+        card = model_card(
+            checkpoint.config, name=repo, layout=to, licence=about.licence, trained_on=about.trained_on,
+            metrics=about.measured,
+        )  # fmt: skip
+        print(card, end="")
         return 0
     print(push_to_hub(model, repo, to=to, private=private, licence=licence))
     return 0

@@ -14,6 +14,7 @@ from zoedepth.model.heads.output import HeadOutput, Supervision, join
 from zoedepth.model.router import Routing
 from zoedepth.model.timm_encoder import TimmEncoder
 from zoedepth.model.upsample import upsample
+from zoedepth.provenance import Provenance
 
 
 class DepthOutput(NamedTuple):
@@ -101,10 +102,12 @@ class DepthModel(nn.Module, ABC):
     Attributes:
         config: everything needed to build the model.
         encoder: the part that ImageNet weights are loaded into.
+        provenance: licence and training data of the weights, where they are known.
     """
 
     config: AnyModelConfig
     encoder: TimmEncoder
+    provenance: Provenance = Provenance()
 
     @property
     def device(self) -> torch.device:

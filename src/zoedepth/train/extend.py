@@ -41,6 +41,7 @@ def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
     tells the two domains apart.
     """
     new = build_model(config).eval()
+    new.provenance = model.provenance
     new.encoder.load_state_dict(model.encoder.state_dict())
     new.decoder.load_state_dict(model.decoder.state_dict())
     new.shared.load_state_dict(model.shared.state_dict())

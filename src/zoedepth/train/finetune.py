@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -17,7 +17,7 @@ from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.images import atomic_path, write_image
-from zoedepth.metrics import Metrics
+from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
@@ -182,9 +182,8 @@ def finetune(
         config = replace(config, domain_weight=1.0)
     last = train_metric(config, data=plan.data, out=out / "run", init=str(start), devices=devices, n_nodes=n_nodes)
     after = {name: _measure(str(last), name, plan, "after") for name in plan.data}
-    save_model(load_model(last), out / "model.safetensors")
     measured = {name: (before[name], after[name]) for name in plan.data}
-    _write(out, plan, measured)
+    _write(out, load_model(last), measured)
     return measured
 
 
@@ -256,16 +255,18 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     return summarise(label, name, list(results.scores.values()), protocols, n_failed=len(results.failures))
 
 
-def _write(out: Path, plan: Plan, measured: Mapping[str, tuple[Summary, Summary]]) -> None:
-    """Write the model's card and the metrics."""
-    metrics: dict[str, Metrics] = {}
+def _write(out: Path, model: DepthModel, measured: Mapping[str, tuple[Summary, Summary]]) -> None:
+    """Write the model with its provenance, its card, and the metrics."""
+    metrics: dict[str, dict[str, float]] = {}
     for name, (_, after) in measured.items():
         if after.metrics is not None:
-            metrics[f"{name} (held out, {after.n_scored} pairs, {', '.join(after.protocols.values())})"] = after.metrics
-    trained_on = ", ".join(f"{name} ({found.n - plan.config.holdout} pairs)" for name, found in plan.surveys.items())
+            protocols = ", ".join(after.protocols.values())
+            metrics[f"{name} (held out, {after.n_scored} pairs, {protocols})"] = asdict(after.metrics)
+    about = model.provenance = replace(model.provenance, measured=metrics)
+    save_model(model, out / "model.safetensors")
     card = model_card(
-        plan.config.model, name="model.safetensors", layout="zoedepth", metrics=metrics,
-        trained_on=f"{trained_on}; before that, what {plan.init} was trained on",
+        model.config, name="model.safetensors", layout="zoedepth", licence=about.licence, trained_on=about.trained_on,
+        metrics=about.measured,
     )  # fmt: skip
     values = {name: {"before": a.to_json(), "after": b.to_json()} for name, (a, b) in measured.items()}
     for path, text in ((out / "README.md", card), (out / "metrics.json", json.dumps(values, indent=2) + "\n")):

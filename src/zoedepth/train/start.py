@@ -19,7 +19,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
     """Load starting weights into the model.
 
     Args:
-        model: changed in place.
+        model: changed in place, its provenance too.
         source: None keeps the random weights. "imagenet" loads the encoder's ImageNet weights, from an installed
             package if there is one, else timm's, which are downloaded once. Anything else is a name or path for
             ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and decoder are taken
@@ -37,6 +37,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
         _load_imagenet(model)
         return f"ImageNet weights of {model.config.encoder_name}, the rest random"
     other = load_model(source)
+    model.provenance = other.provenance
     if other.config == model.config:
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"

@@ -3,7 +3,6 @@
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import TYPE_CHECKING, Literal
 
 from zoedepth.config import (
@@ -17,7 +16,7 @@ from zoedepth.config import (
     NewCrfsNetworkConfig,
     PixelBinsNetworkConfig,
 )
-from zoedepth.metrics import HEADINGS, Metrics
+from zoedepth.metrics import HEADINGS
 
 if TYPE_CHECKING:
     from huggingface_hub import EvalResult
@@ -52,7 +51,7 @@ def model_card(
     layout: Literal["zoedepth", "huggingface"],
     licence: str | None = None,
     trained_on: str | None = None,
-    metrics: Mapping[str, Metrics] | None = None,
+    metrics: Mapping[str, Mapping[str, float]] | None = None,
 ) -> str:
     """Write the text of a ``README.md``: YAML for the Hub, then Markdown for people. It says what is not known.
 
@@ -62,7 +61,7 @@ def model_card(
         layout: file format of the weights; "huggingface" is the one that transformers reads.
         licence: licence of the weights: an identifier of the Hub such as "cc-by-nc-4.0", or any text.
         trained_on: training data, with its terms.
-        metrics: measured metrics, by the name of the data set.
+        metrics: name of a data set → name of a metric (see ``metrics.Metrics``) → the value that was measured.
     """
     name = _one_line(name)
     front = _front_matter(name, layout, licence, metrics or {})
@@ -82,7 +81,7 @@ def model_card(
     return f"---\n{front}\n---\n\n" + "\n\n".join(sections) + "\n"
 
 
-def _front_matter(name: str, layout: str, licence: str | None, metrics: Mapping[str, Metrics]) -> str:
+def _front_matter(name: str, layout: str, licence: str | None, metrics: Mapping[str, Mapping[str, float]]) -> str:
     """Return the YAML that the Hub reads."""
     from huggingface_hub import ModelCardData
 
@@ -106,7 +105,7 @@ def _licence(licence: str | None) -> tuple[str, str | None]:
     return (identifier, None) if identifier in _LICENCES else ("other", _slug(licence))
 
 
-def _results(metrics: Mapping[str, Metrics]) -> "list[EvalResult]":
+def _results(metrics: Mapping[str, Mapping[str, float]]) -> "list[EvalResult]":
     from huggingface_hub import EvalResult
 
     results: list[EvalResult] = []
@@ -122,11 +121,12 @@ def _results(metrics: Mapping[str, Metrics]) -> "list[EvalResult]":
                 task_name="Monocular depth estimation",
                 dataset_type=identifier,
                 dataset_name=_one_line(data),
-                metric_type=field.name,
-                metric_name=HEADINGS[field.name],
-                metric_value=float(getattr(values, field.name)),
+                metric_type=metric,
+                metric_name=heading,
+                metric_value=float(values[metric]),
             )
-            for field in fields(values)
+            for metric, heading in HEADINGS.items()
+            if metric in values
         ]
     return results
 
@@ -224,10 +224,11 @@ def _quoted(text: str) -> str:
     return json.dumps(text, ensure_ascii=False)
 
 
-def _table(metrics: Mapping[str, Metrics]) -> str:
-    names = [field.name for field in fields(Metrics)]
+def _table(metrics: Mapping[str, Mapping[str, float]]) -> str:
+    names = [name for name in HEADINGS if any(name in values for values in metrics.values())]
     rows = [["data", *(HEADINGS[name] for name in names)], ["---"] * (len(names) + 1)]
-    rows += [[_cell(data), *(f"{getattr(values, name):.3f}" for name in names)] for data, values in metrics.items()]
+    for data, values in metrics.items():
+        rows.append([_cell(data), *(f"{values[name]:.3f}" if name in values else "not run" for name in names)])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 

@@ -15,6 +15,7 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, ModelConfig, model_config_from_dict, to_dict
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
+from zoedepth.provenance import MAX_TEXT, Provenance, from_card, from_texts
 from zoedepth.stored import parse_json, read_json
 from zoedepth.weights.card import model_card
 from zoedepth.weights.layouts import (
@@ -30,6 +31,7 @@ from zoedepth.weights.layouts import (
 )
 from zoedepth.weights.layouts.files import read_tensors
 from zoedepth.weights.layouts.keys import Table, shown
+from zoedepth.weights.releases import RELEASES
 
 Layout = Literal["zoedepth", "original", "huggingface"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
@@ -47,6 +49,8 @@ class Checkpoint(NamedTuple):
     """Layout it was read from: "zoedepth", "original", "midas", "huggingface", or a baseline's name."""
     name_in_file: Callable[[str], str]
     """Function from our name of a weight to the file's, for messages."""
+    provenance: Provenance = Provenance()
+    """Licence, training data and measured numbers, where the file, its folder or the list of releases tells them."""
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
@@ -69,9 +73,24 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
                 f"the folder has no {CONFIG} of transformers, which holds the kind of bins and their range: put it "
                 "back, or give the file of weights alone if it is one of the three published ones"
             )
-        return _recognise(weights, texts, folder)
+        checkpoint = _recognise(weights, texts, folder)
+        return checkpoint._replace(provenance=_provenance(texts, path))
     except InputError as error:
         raise InputError(f"{file}: {str(error)[:2000]}") from error  # it may quote the file, of any length
+
+
+def _provenance(texts: Mapping[str, str], path: Path) -> Provenance:
+    """Return what the file says, else what is known of a release, else what the model card of a folder says."""
+    found = from_texts(texts)
+    if found != Provenance():
+        return found
+    for release in RELEASES.values():
+        if release.present and release.path.samefile(path):
+            return release.provenance
+    if (path / CARD).is_file():
+        with (path / CARD).open(encoding="utf-8", errors="replace") as card:
+            return from_card(card.read(MAX_TEXT))
+    return found
 
 
 def _weights_in(folder: Path) -> Path:
@@ -153,22 +172,24 @@ def write_checkpoint(
             A folder gets config, weights and a model card.
         to: layout to write.
         name: title of the model card.
-        licence: licence of the weights, for the card; None: not stated.
+        licence: licence of the weights, for the file and the card; None: that of the checkpoint.
 
     Raises:
-        InputError: the layout cannot hold this model, the suffix belongs to another layout, or the folder exists.
+        InputError: the layout cannot hold this model, the suffix belongs to another layout, the folder exists, or the
+            licence drops that the weights are non-commercial.
     """
     path, (config, weights, *_) = Path(path), checkpoint
+    provenance = checkpoint.provenance.with_licence(licence)
     if to == "original":
         if path.suffix not in (".pt", ".pth"):
             raise InputError(f"{path}: the original's layout is a file: give a name that ends with .pt")
         theirs = original.write(_zoedepth(config, to), weights)
         with atomic_path(path) as part:
-            torch.save({"model": theirs, "optimizer": None, "epoch": 0}, part)
+            torch.save({"model": theirs, "optimizer": None, "epoch": 0, "about": provenance.to_texts()}, part)
         return path
     if to == "zoedepth" and path.suffix == ".safetensors":
         with atomic_path(path) as part:
-            _save(weights, part, config)
+            _save(weights, part, config, provenance)
         return path
     if path.suffix in (".pt", ".pth", ".safetensors"):
         raise InputError(f"{path}: the {to} layout is a folder: give a name that does not end with {path.suffix}")
@@ -182,10 +203,14 @@ def write_checkpoint(
     else:
         theirs, texts = weights, {CONFIG: {"library_name": "zoedepth", "zoedepth": to_dict(config)}}
     with _new_folder(path) as part:
-        _save(theirs, part / WEIGHTS, config if to == "zoedepth" else None)
+        _save(theirs, part / WEIGHTS, config if to == "zoedepth" else None, provenance)
         for file, values in texts.items():
             (part / file).write_text(json.dumps(values, indent=2) + "\n", encoding="utf-8")
-        (part / CARD).write_text(model_card(config, name=name, layout=to, licence=licence), encoding="utf-8")
+        card = model_card(
+            config, name=name, layout=to, licence=provenance.licence, trained_on=provenance.trained_on,
+            metrics=provenance.measured,
+        )  # fmt: skip
+        (part / CARD).write_text(card, encoding="utf-8")
     return path
 
 
@@ -195,9 +220,10 @@ def _zoedepth(config: AnyModelConfig, to: Layout) -> ModelConfig:
     return config
 
 
-def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | None) -> None:
+def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | None, provenance: Provenance) -> None:
     # transformers demands "format". Our config goes into the header, so that the file is enough by itself.
-    texts = {"format": "pt"} | ({} if config is None else {"config": json.dumps(to_dict(config))})
+    texts = {"format": "pt", **({} if config is None else {"config": json.dumps(to_dict(config))})}
+    texts |= provenance.to_texts()
     # safetensors takes contiguous tensors that share no memory.
     seen: set[int] = set()
     apart = {}

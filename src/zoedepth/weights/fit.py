@@ -27,7 +27,7 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     Raises:
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
     """
-    config, weights, _, name_in_file = checkpoint
+    config, weights, _, name_in_file, provenance = checkpoint
     _refuse_strange(config, len(weights), source)
     config = with_compat(config, compat)
     try:
@@ -52,6 +52,7 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     if broken := [name_in_file(name) for name, value in floats.items() if not value.isfinite().all()]:
         raise InputError(f"the weights in {source} are not finite: {shown(broken)}. Use another file")
     model.load_state_dict(floats, assign=True)
+    model.provenance = provenance
     return channels_last(_with_buffers(model)).eval()
 
 

@@ -1,7 +1,8 @@
 """Download models from the Hugging Face Hub, find them in its cache, and upload them.
 
 ``huggingface_hub`` keeps the cache (``HF_HOME``), the token (``HF_TOKEN``) and the offline switch
-(``HF_HUB_OFFLINE``). It is imported when used. Only safetensors and JSON are ever downloaded: no pickles, no code.
+(``HF_HUB_OFFLINE``). It is imported when used. Only safetensors, JSON and model cards are ever downloaded: no pickles,
+no code.
 """
 
 from pathlib import Path
@@ -12,6 +13,8 @@ CONFIG = "config.json"
 WEIGHTS = "model.safetensors"
 PREPROCESSOR = "preprocessor_config.json"
 """File with the size of photos. Folders of transformers have it; in ours the size is in the config."""
+CARD = "README.md"
+"""The model card, which says under which licence the weights come."""
 
 _FILE_SUFFIXES = (".safetensors", ".pt", ".pth", ".ckpt", ".bin", ".json", ".onnx")
 _LOG_IN = "set HF_TOKEN to your token, or run `hf auth login`"
@@ -37,8 +40,8 @@ def is_hub_id(name: str) -> bool:
 def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     """Return a local folder with ``config.json`` and ``model.safetensors`` of a model on the Hub.
 
-    If the model has a ``preprocessor_config.json``, that is there too. Files in the cache are not downloaded again, and
-    are used as they are when the network cannot be reached or ``HF_HUB_OFFLINE`` is set.
+    If the model has a ``preprocessor_config.json`` or a ``README.md``, these are there too. Files in the cache are not
+    downloaded again, and are used as they are when the network cannot be reached or ``HF_HUB_OFFLINE`` is set.
 
     Args:
         repo_id: "organisation/model".
@@ -56,13 +59,14 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     from huggingface_hub.errors import EntryNotFoundError
 
     folder, wanted = Path(), revision
-    for name in (CONFIG, WEIGHTS, PREPROCESSOR):
-        if name == PREPROCESSOR and try_to_load_from_cache(repo_id, name, revision=wanted) is not None:
-            break  # it is here, or it is known not to exist
+    for name in (CONFIG, WEIGHTS, PREPROCESSOR, CARD):
+        optional = name in (PREPROCESSOR, CARD)
+        if optional and try_to_load_from_cache(repo_id, name, revision=wanted) is not None:
+            continue  # it is here, or it is known not to exist
         try:
             folder = Path(hf_hub_download(repo_id, name, revision=wanted)).parent
         except EntryNotFoundError as error:
-            if name != PREPROCESSOR:
+            if not optional:
                 raise _fetch_error(error, repo_id, name, revision) from error
         except Exception as error:  # from the Hub, the HTTP client, the operating system or a faster client
             raise _fetch_error(error, repo_id, name, revision) from error

@@ -26,8 +26,9 @@ _MAX_READS = 700_000  # pieces of a pickle; 900 weights take 46,000, and with Ad
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Return the named tensors of a safetensors file or a ``torch.save`` archive, and the texts in its header.
+    """Return the named tensors of a safetensors file or a ``torch.save`` archive, and the texts beside them.
 
+    In a safetensors file these are the texts of the header, in an archive a dictionary of texts under "about".
     The first bytes tell the kind of file, not the suffix. Tensors of a safetensors file stay on the disk until they are
     used.
 
@@ -40,7 +41,7 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error})") from error
     if start.startswith(b"PK\x03\x04"):
-        return _read_torch(path), {}
+        return _read_torch(path)
     # A safetensors file begins with the length of its header, whose first byte may be anything.
     if start.startswith(b"\x80") and start[8:] != b"{":
         raise InputError(
@@ -172,7 +173,7 @@ def _check_encode(text: str, encoding: str) -> _Bytes:
     return _Bytes()
 
 
-def _read_torch(path: Path) -> dict[str, Tensor]:
+def _read_torch(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     size = path.stat().st_size
     _check_archive(path, size)
     try:
@@ -187,7 +188,13 @@ def _read_torch(path: Path) -> dict[str, Tensor]:
         raise InputError(
             f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {_first_line(error)})"
         ) from error
-    return _tensors(saved, path, size)
+    return _tensors(saved, path, size), _texts(saved)
+
+
+def _texts(saved: object) -> dict[str, str]:
+    about = dict.get(saved, "about") if isinstance(saved, dict) else None
+    texts = dict.items(about) if isinstance(about, dict) else ()
+    return {name: text for name, text in texts if type(name) is type(text) is str}
 
 
 def _check_archive(path: Path, size: int) -> None:
