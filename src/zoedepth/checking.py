@@ -152,7 +152,7 @@ def check(
         least, greatest = min(least, float(values.min())), max(greatest, float(values.max()))
         spread.append(values[:: max(1, values.size // _VALUES_PER_PAIR)])
         if sample.kind == "depth":
-            glances.append(glance(_depth_file(dataset, index, sample), sample.domain, values))
+            glances.append(glance(depth_file(dataset, index, sample), sample.domain, values))
     found = None
     if spread:
         low, median, high = (float(value) for value in np.percentile(np.concatenate(spread), (1, 50, 99)))
@@ -207,7 +207,7 @@ def _survey(dataset: Samples) -> tuple[list[int], list[Path], int]:
     return complete, missing, bare
 
 
-def _depth_file(dataset: Samples, index: int, sample: Sample) -> str:
+def depth_file(dataset: Samples, index: int, sample: Sample) -> str:
     """Return the file of a pair's depth, or the name of the sample where it has none of its own."""
     if isinstance(dataset, PublishedDataset | PairDataset):
         return str(dataset.pairs[index].target)

@@ -50,6 +50,16 @@ def test_a_photo_of_another_size_is_named_and_a_photo_with_bytes_behind_it_is_no
     assert sorted(find_broken(pairs)) == [2]
 
 
+def test_a_picture_in_place_of_depth_is_named(pairs: PairDataset) -> None:
+    for index, mode in ((1, "L"), (3, "RGB")):
+        path = pairs.pairs[index].target
+        assert path is not None
+        Image.new(mode, (24, 16), 9 if mode == "L" else (9, 9, 9)).save(path)
+    found = find_broken(pairs)
+    assert sorted(found) == [1, 3]
+    assert "train_001.png has 8 bits a pixel" in found[1]
+
+
 def test_every_sample_is_read_if_asked_for(pairs: PairDataset) -> None:
     path = pairs.pairs[1].target
     assert path is not None

@@ -34,7 +34,7 @@ def test_values_where_a_sensor_ends_are_asked_about() -> None:
         found = find_mark(glances)
         assert found is not None
         assert not found.certain
-        assert "does it mean unknown?" in str(found)
+        assert "does it stand for unknown?" in str(found)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_medians_unusual_for_their_domain_are_asked_about(domain: str, near: flo
     assert found.impossible == []
     assert bool(found.unlikely) == asked
     if asked:
-        assert f"photos of {domain}" in found.unlikely[0]
+        assert f"its {domain} photos" in found.unlikely[0]
 
 
 def test_a_map_in_another_unit_than_the_others_is_named() -> None:

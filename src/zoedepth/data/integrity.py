@@ -82,7 +82,7 @@ def _suspicious(pair: Any, *, paired: bool) -> bool:
     try:
         if not all(_ends_well(path) for path in pair.files):
             return True
-        if paired and (found := _size(pair.target)) is not None:
+        if paired and (found := _size(pair.target, depth=pair.kind == "depth")) is not None:
             with Image.open(pair.image) as photo:
                 turned = "exif" in photo.info and photo.getexif().get(_ORIENTATION, 1) != 1
                 check_fit((photo.height, photo.width), found, names=(pair.image, pair.target))
@@ -109,8 +109,12 @@ def _ends_well(path: Path) -> bool:
     return size > 0
 
 
-def _size(path: Path) -> tuple[int, int] | None:
-    """Return (height, width) by the header of a file; None for formats whose header takes long to read."""
+def _size(path: Path, *, depth: bool) -> tuple[int, int] | None:
+    """Return (height, width) by the header of a map; None for formats whose header takes long to read.
+
+    Raises:
+        ValueError: it is a picture of 8 bits, and should be depth.
+    """
     suffix = path.suffix.lower()
     if suffix == ".npy":
         sides = [side for side in np.load(path, mmap_mode="r", allow_pickle=False).shape if side != 1]
@@ -118,4 +122,6 @@ def _size(path: Path) -> tuple[int, int] | None:
     if suffix in (".npz", ".exr", ".pfm"):
         return None
     with Image.open(path) as picture:
+        if depth and not picture.mode.startswith(("I", "F")):
+            raise ValueError(f"its mode is {picture.mode}")
         return picture.height, picture.width

@@ -82,11 +82,15 @@ class Mark:
         return rounded if rounded <= self.value else float(f"{rounded - unit:.4g}")
 
     def __str__(self) -> str:
-        what = "it stands for unknown (a hole, the sky, the background)" if self.certain else "does it mean unknown?"
+        what = (
+            "it stands for unknown (a hole, the sky, the background). Write"
+            if self.certain
+            else "does it stand for unknown? Then write"
+        )
         return (
             f"{self.share:.1%} of the known pixels hold the largest value, {self.value:.6g} m, and nearly all others "
-            f'are nearer than {self.others:.4g} m: {what}. Write {{"max_depth": {self.max_depth:g}}} into '
-            "dataset.json, and depth from there on is unknown; a larger max_depth keeps it"
+            f'are nearer than {self.others:.4g} m: {what} {{"max_depth": {self.max_depth:g}}} into dataset.json. If it '
+            "is depth after all, write a larger max_depth"
         )
 
 
@@ -106,7 +110,7 @@ class Doubts:
     def impossible(self) -> list[str]:
         """Sentences about medians that no photo has."""
         return [
-            f"the median depth of its photos{_of(domain)} is {median:.4g} m. {UNIT}"
+            f"the median depth of its{_named(domain)} photos is {median:.4g} m. {UNIT}"
             for domain, median in self.medians.items()
             if not POSSIBLE[0] <= median <= self.most
         ]
@@ -119,8 +123,8 @@ class Doubts:
             low, high = USUAL.get(domain, (POSSIBLE[0], self.most))
             if POSSIBLE[0] <= median <= self.most and not low <= median <= high:
                 found.append(
-                    f"the median depth of its photos{_of(domain)} is {median:.4g} m, where {low:g} to {high:g} m are "
-                    f"usual: is the unit right? {UNIT}"
+                    f"the median depth of its{_named(domain)} photos is {median:.4g} m, where {low:g} to {high:g} m "
+                    f"are usual: is the unit right? {UNIT}"
                 )
         shown = list(self.unlike.values())[:_MOST_NAMED]
         more = len(self.unlike) - len(shown)
@@ -169,5 +173,5 @@ def find_mark(glances: Sequence[Glance]) -> Mark | None:
     return Mark(top, share, float(np.percentile(others, 95)))
 
 
-def _of(domain: str) -> str:
-    return f" of {domain}" if domain else ""
+def _named(domain: str) -> str:
+    return f" {domain}" if domain else ""

@@ -220,7 +220,7 @@ def _look(
             f"{name}: {'; '.join(found.doubts.impossible)}. Give the right depth_scale in the data or by "
             "--depth-scale, or --check off if it is right as it is"
         )
-    return found, broken, samples
+    return found, broken | found.unreadable, samples
 
 
 def _source(name: str, found: Survey) -> SourceConfig:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from zoedepth.checking import SPARSE, evenly
+from zoedepth.checking import SPARSE, depth_file, evenly
 from zoedepth.data.integrity import most_broken, named
 from zoedepth.data.plausible import Doubts, doubts, glance
 from zoedepth.data.sample import DepthDataset, Sample
@@ -39,6 +39,8 @@ class Survey:
     """Findings about the depth that are not plausible."""
     max_depth: float | None = None
     """Metres from which on a mark stands for unknown, where there certainly is one."""
+    unreadable: dict[int, str] = field(default_factory=dict)
+    """Number of a pair that could not be read → what is wrong with it."""
 
     @property
     def sparse(self) -> bool:
@@ -68,12 +70,13 @@ def survey(
     shown = set(evenly(places, 6))
     sizes: Counter[tuple[int, int]] = Counter()
     count: Counter[str] = Counter()
-    glances, n_pixels, samples, unreadable = [], [], [], []
+    glances, n_pixels, samples = [], [], []
+    unreadable: dict[int, str] = {}
     for place in places:
         try:
             sample = data[place]
         except InputError as error:
-            unreadable.append(str(error))
+            unreadable[place] = str(error)
             continue
         if sample.kind != "depth":
             raise InputError(
@@ -83,13 +86,13 @@ def survey(
         sizes[(sample.image.shape[1], sample.image.shape[2])] += 1
         count[sample.domain] += 1
         n_pixels.append(sample.mask.numel())
-        glances.append(glance(sample.name, sample.domain, sample.target[sample.mask].numpy()))
+        glances.append(glance(depth_file(data, place, sample), sample.domain, sample.target[sample.mask].numpy()))
         if place in shown:
             samples.append(sample)
     if len(unreadable) == len(places) or len(unreadable) > most_broken(len(places)):
         raise InputError(
             f"{len(unreadable)} of the {len(places)} pairs of {name} that were looked at cannot be read:\n"
-            f"{named(unreadable)}\nMend or remove them"
+            f"{named(unreadable.values())}\nMend or remove them"
         )
     found = Doubts() if trusted else doubts(glances, max_depth=getattr(data, "max_depth", None))
     mark = found.mark if found.mark is not None and found.mark.certain else None
@@ -122,6 +125,7 @@ def survey(
             count=dict(count),
             doubts=found,
             max_depth=max_depth,
+            unreadable=unreadable,
         ),
         samples,
     )
