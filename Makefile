@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 OLDEST := .venv.oldest
-PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 .PHONY: demo demo-train test test-processors test-oldest fuzz mutants lint bench docs clean
 
@@ -22,7 +22,7 @@ test-processors: $(VENV)/.installed-dev
 
 # The tests with the lowest versions that pyproject.toml promises. uv, because pip cannot choose the lowest.
 test-oldest: $(OLDEST)/.installed-dev
-	OMP_NUM_THREADS=1 $(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4
+	OMP_NUM_THREADS=1 $(OLDEST)/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 # The fuzz tests with other examples every time; what failed is kept in .hypothesis and tried first. Each round is short.
 ROUNDS ?= 10

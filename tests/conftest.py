@@ -1,5 +1,6 @@
 """What all tests share: a model small enough to run in milliseconds, and how fuzz tests choose their examples."""
 
+import gc
 from collections.abc import Iterator
 
 import jaxtyping
@@ -22,6 +23,12 @@ from zoedepth.model.zoedepth import ZoeDepth
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, print_blob=True)
 settings.register_profile("fuzz", derandomize=False, max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("repeatable")
+
+
+def pytest_collection_finish() -> None:
+    """Take what was imported and collected out of the garbage collector's sight: none of it is ever freed."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
