@@ -149,6 +149,8 @@ def test_what_the_system_refuses_is_one_line(
         (IsADirectoryError(errno.EISDIR, "Is a directory", "photos"), "photos: Is a directory"),
         (OSError(errno.ENAMETOOLONG, "File name too long", "a" * 300), "give a shorter name"),
         (OSError("of a library\nin two lines"), "of a library in two lines"),
+        (ValueError("Error while serializing: I/O error: No space left on device (os error 28)"), "make room"),
+        (RuntimeError("[enforce fail at inline_container.cc:672] . unexpected pos 576 vs 534"), "make room"),
         (MemoryError(), "memory"),
         (RuntimeError("CUDA out of memory. Tried to allocate 2 GiB"), "memory"),
         (ModuleNotFoundError("No module named 'tensorboard'", name="tensorboard.compat"), "zoedepth[train]"),

@@ -35,6 +35,8 @@ _WHAT_TO_DO = {
     errno.EMFILE: ("allow more open files (ulimit -n), or give fewer --workers",),
     errno.EIO: ("the disk or the network drive fails: copy the data to another one",),
 }
+_OF_RUST = re.compile(r"\(os error (\d+)\)")  # safetensors
+_OF_TORCH = "inline_container.cc"  # torch.save
 _NO_MEMORY = re.compile(r"out of memory|can't allocate memory")
 
 Function = Callable[..., int]
@@ -165,12 +167,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _stop(NOBODY_READS)
         _stop(0)
         raise
-    except OSError as error:
-        return _stop(WRONG, f"{name}: {_describe(error)}")
-    except (MemoryError, RuntimeError) as error:
-        if not isinstance(error, MemoryError) and not _NO_MEMORY.search(str(error)):
-            raise
-        return _stop(WRONG, f"{name}: the memory is too small: give smaller photos, fewer --workers or a smaller batch")
+    except Exception as error:
+        if (refusal := _refusal(error)) is not None:
+            return _stop(WRONG, f"{name}: {_describe(refusal)}")
+        if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+            return _stop(
+                WRONG, f"{name}: there is too little memory: give smaller photos, fewer workers, smaller batches"
+            )
+        raise
 
 
 def _run(arguments: Sequence[str]) -> int:
@@ -218,6 +222,18 @@ def _warnings_in_one_line(name: str) -> Iterator[None]:
         yield
     finally:
         warnings.formatwarning = before
+
+
+def _refusal(error: Exception) -> OSError | None:
+    """Return what the system has refused, where an error tells of that; other libraries hide it in errors of theirs."""
+    if isinstance(error, OSError):
+        return error
+    if found := _OF_RUST.search(str(error)):
+        return OSError(int(found[1]), os.strerror(int(found[1])))
+    if _OF_TORCH in str(error):
+        hidden = OSError("a file cannot be written whole: make room, or write to another place")
+        return error.__context__ if isinstance(error.__context__, OSError) else hidden
+    return None
 
 
 def _describe(error: OSError) -> str:

@@ -39,6 +39,13 @@ def test_demo(
         assert min(picture.size) > 1000
 
 
+def test_folder_that_cannot_be_written_to_is_refused_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    for name in ("demo", "demo-train"):
+        assert main([name, "--out", str(tmp_path / "file" / "out")]) == 2
+        assert "cannot write" in capsys.readouterr().err
+
+
 def test_missing_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

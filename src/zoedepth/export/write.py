@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -274,7 +275,9 @@ def _write_program(wrapped: ExportModel, path: Path, size: tuple[int, int]) -> N
     shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},) * len(inputs)
     with torch.enable_grad():
         program = torch.export.export(wrapped, inputs, dynamic_shapes=shapes, strict=False)
-    torch.export.save(program, path, extra_files={METADATA: metadata(wrapped.model)})
+    archive = BytesIO()  # torch ends the whole process where its own writer meets a full disk
+    torch.export.save(program, archive, extra_files={METADATA: metadata(wrapped.model)})
+    path.write_bytes(archive.getbuffer())
 
 
 @torch.no_grad()
