@@ -3,8 +3,9 @@
 import copy
 import dataclasses
 import io
+from collections.abc import Iterator
 from pathlib import Path
-from threading import Thread
+from threading import Barrier, Thread
 from types import SimpleNamespace
 
 import numpy as np
@@ -111,7 +112,22 @@ def test_mirrored_photo_gives_mirrored_depth(tiny_model: ZoeDepth, brightness: B
         assert result.domain == mirrored.domain
 
 
-def test_batch_equals_singles(tiny_model: ZoeDepth) -> None:
+@pytest.fixture(params=[1, 3])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Number of threads that torch computes with, until the test ends."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(request.param)
+    yield request.param
+    torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_batch_equals_singles(
+    tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch, threads: int, together: bool
+) -> None:
+    """Together, as on an accelerator, and one by one, as on the CPU."""
+    if together:
+        monkeypatch.setattr(Predictor, "_one_by_one", False)
     sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (30, 90), (50, 71), (1, 1)]
     photos = [smooth(size, seed) for seed, size in enumerate(sizes)]
     predictor = Predictor(tiny_model)
@@ -120,6 +136,28 @@ def test_batch_equals_singles(tiny_model: ZoeDepth) -> None:
             np.testing.assert_array_equal(result.image, photo)
             assert_same(result, predictor(photo), atol=1e-5)
     assert predictor.batch([]) == []
+    assert torch.get_num_threads() == threads
+
+
+@pytest.mark.parametrize("threads", [3], indirect=True)
+def test_photos_of_a_batch_share_the_cores(tiny_model: ZoeDepth, threads: int) -> None:
+    """Two at a time have one thread each; each is alone in its forward."""
+    barrier, seen = Barrier(2, timeout=60), []
+
+    def note(model: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        barrier.wait()  # until two are here
+        seen.append((torch.get_num_threads(), len(inputs[0])))
+
+    hook = tiny_model.register_forward_pre_hook(note)
+    Predictor(tiny_model, flip_average=False).batch([smooth((40, 60), seed) for seed in range(4)], batch_size=2)
+    hook.remove()
+    assert seen == [(1, 1)] * 4
+
+
+@pytest.mark.parametrize("batch_size", [0, -1])
+def test_a_batch_has_at_least_one_photo(tiny_model: ZoeDepth, batch_size: int) -> None:
+    with pytest.raises(InputError, match="batch_size must be 1 or more"):
+        Predictor(tiny_model).batch([smooth((40, 60))], batch_size=batch_size)
 
 
 def test_infer_equals_call(tiny_model: ZoeDepth) -> None:

@@ -22,7 +22,7 @@ class DepthMap:
     domain_probability: dict[str, float]
     """The router's probability of each scene type. Where there is no classifier, 1 for the only or the given one."""
     image: ImageArray
-    """The photo."""
+    """The photo, RGB."""
     network_size: tuple[int, int]
     """(height, width) at which the model saw the photo."""
 

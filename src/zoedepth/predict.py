@@ -3,6 +3,7 @@
 import copy
 import math
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import Any, Literal
 
@@ -78,7 +79,9 @@ class Predictor:
         """Predict the depth of one photo.
 
         Args:
-            image: a path, an open file, a PIL image, an array (H, W, 3) or a tensor (3, H, W); see ``images.to_image``.
+            image: a path, an open file, a PIL image, an RGB array (H, W, 3) or RGB tensor (3, H, W); see
+                ``images.to_image``. BGR cannot be told from RGB and gives a worse depth without a word: turn what
+                OpenCV reads round, ``image[..., ::-1]``.
             domain: scene type whose head to use, e.g. "indoor"; None leaves it to the model's router.
 
         Raises:
@@ -87,22 +90,30 @@ class Predictor:
         return self.batch([image], domain=domain)[0]
 
     def batch(self, images: Sequence[Any], *, domain: str | None = None, batch_size: int = 4) -> list[DepthMap]:
-        """Predict several photos, those of one network size together. The depths are those of one photo at a time.
+        """Predict several photos. The depths are those of one photo at a time.
+
+        On an accelerator those of one network size go through the model together. On the CPU that would take longer
+        than one after the other, so there each has cores of its own.
 
         Args:
-            images: photos of any kinds and sizes, see ``__call__``.
+            images: photos of any kinds and sizes, RGB, see ``__call__``.
             domain: scene type whose head to use for all of them; None leaves each to the router.
-            batch_size: photos that go through the model at once.
+            batch_size: photos that are computed at the same time. Each takes memory.
 
         Raises:
-            InputError: see ``__call__``.
+            InputError: ``batch_size`` is less than 1; otherwise see ``__call__``.
         """
         self._check_mode()
+        if batch_size < 1:
+            raise InputError(f"batch_size must be 1 or more, got {batch_size}")
         head = None if domain is None else self.domain_index(domain)
         photos = [to_image(image) for image in images]
+        sizes = [self.network_size(photo.shape[:2]) for photo in photos]
+        if self._one_by_one:
+            return self._side_by_side(photos, sizes, head, workers=batch_size)
         groups: dict[tuple[int, int], list[int]] = {}
-        for row, photo in enumerate(photos):
-            groups.setdefault(self.network_size(photo.shape[:2]), []).append(row)
+        for row, size in enumerate(sizes):
+            groups.setdefault(size, []).append(row)
         results: dict[int, DepthMap] = {}
         for size, rows in groups.items():
             for start in range(0, len(rows), batch_size):
@@ -194,6 +205,29 @@ class Predictor:
         given = None if head is None else torch.full((len(photos),), head, device=self.device)
         output = self._run(pixels, given)
         return [self._depth_map(photo, _rows(output, slice(row, row + 1)), size) for row, photo in enumerate(photos)]
+
+    @property
+    def _one_by_one(self) -> bool:
+        """True where a photo by itself is faster than in a batch, and gives the same depth."""
+        config = self.model.config
+        votes_together = isinstance(config, ModelConfig) and config.router.vote == "batch"
+        exported = next(self.model.parameters(), None) is None  # its runtime has threads of its own
+        return self.device.type == "cpu" and not votes_together and not exported
+
+    def _side_by_side(
+        self, photos: list[ImageArray], sizes: list[tuple[int, int]], head: int | None, *, workers: int
+    ) -> list[DepthMap]:
+        """Predict photos at the same time, each on its share of torch's threads."""
+        threads = torch.get_num_threads()
+        workers = min(workers, threads, len(photos))
+        if workers < 2:
+            return [self._predict([photo], size, head)[0] for photo, size in zip(photos, sizes, strict=True)]
+        share = threads // workers
+        try:
+            with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(share,)) as executor:
+                return list(executor.map(lambda *each: self._predict([each[0]], each[1], head)[0], photos, sizes))
+        finally:
+            torch.set_num_threads(threads)  # what a thread sets holds for all that start later
 
     def _check_mode(self) -> None:
         if self.model.training:

@@ -26,7 +26,7 @@ class Maps:
     relative: DepthArray | None = None
     """Inverse depth up to an unknown scale and shift; near is large."""
     image: ImageArray | None = None
-    """The photo."""
+    """The photo, RGB."""
 
     def __post_init__(self) -> None:
         maps = {"depth": self.depth, "std": self.std, "relative": self.relative}
