@@ -17,6 +17,7 @@ from zoedepth.images import (
     as_array,
     atomic_path,
     read_image,
+    read_image_with_orientation,
     to_image,
     write_image,
 )
@@ -81,11 +82,25 @@ class TestReadImage:
         exif[0x0112] = orientation
         options = {"lossless": True} if suffix == ".webp" else {}
         path = saved(stored, tmp_path / f"photo{suffix}", exif=exif, **options)
+        image, found = read_image_with_orientation(path)
+        np.testing.assert_array_equal(image, photo)
         np.testing.assert_array_equal(read_image(path), photo)
+        assert found == orientation
 
     def test_broken_exif_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
         path = saved(Image.fromarray(photo), tmp_path / "photo.png", exif=b"Exif\x00\x00not a tiff header")
-        np.testing.assert_array_equal(read_image(path), photo)
+        image, orientation = read_image_with_orientation(path)
+        np.testing.assert_array_equal(image, photo)
+        assert orientation == 1
+
+    def test_orientation_that_is_none_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
+        exif = Image.Exif()
+        exif[0x0112] = 9
+        image, orientation = read_image_with_orientation(
+            saved(Image.fromarray(photo), tmp_path / "photo.png", exif=exif)
+        )
+        np.testing.assert_array_equal(image, photo)
+        assert orientation == 1
 
     @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".bmp", ".tif", ".gif"])
     @pytest.mark.filterwarnings("ignore::UserWarning:PIL")

@@ -57,7 +57,10 @@ def _check_jpeg(file: BinaryFile) -> None:
 
     Phones append films and further pictures, in which any bytes may stand.
     """
-    content = file.read(_MAX_JPEG)
+    begin = file.tell()
+    size = file.seek(0, os.SEEK_END) - begin
+    file.seek(begin)
+    content = file.read(min(size, _MAX_JPEG))  # read(n) takes memory for n bytes, however few there are
     place, pieces, scans, junk = 2, 0, 0, 0
     # Only in scans may bytes stand that belong to no segment.
     while found := _MARKER.search(content, place, len(content) if scans else place + _MAX_JUNK + 2):

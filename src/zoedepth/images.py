@@ -81,8 +81,16 @@ def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS)
         InputError: the file is missing, not an image, cut short, too large, far too small for the pixels it claims, or
             in a mode that has no meaning here.
     """
-    with _open(source, max_pixels=max_pixels) as picture:
-        return _from_pil(picture, _name(source))
+    return read_image_with_orientation(source, max_pixels=max_pixels)[0]
+
+
+def read_image_with_orientation(
+    source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS
+) -> tuple[ImageArray, int]:
+    """Read a photograph as ``read_image`` does; returns the EXIF orientation by which it was turned upright, too."""
+    picture, orientation = _open(source, max_pixels=max_pixels)
+    with picture:
+        return _from_upright(picture, _name(source)), orientation
 
 
 def to_image(source: Any) -> ImageArray:
@@ -148,8 +156,8 @@ def _name(source: str | Path | BinaryFile) -> str:
     return str(source) if isinstance(source, str | Path) else str(getattr(source, "name", "the open file"))
 
 
-def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> Image.Image:
-    """Open and decode a picture, with one kind of error for everything that can be wrong with a file."""
+def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> tuple[Image.Image, int]:
+    """Open, decode and turn a picture (``load_upright``), with one kind of error for all that can be wrong with a file."""
     name = _name(source)
     if name.startswith(("http://", "https://")):
         raise InputError(f"{name} is an address, not a file: download it first")
@@ -160,7 +168,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
             picture = Image.open(file, formats=[known for known in _FORMATS if known in Image.OPEN])
             _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
-            picture.load()
+            picture, orientation = load_upright(picture)
     except InputError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -171,7 +179,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> I
         raise InputError(f"{name} is too large to decode: resize it ({error})") from error
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{name} cannot be read, it may be cut short or damaged: copy it again ({error})") from error
-    return picture
+    return picture, orientation
 
 
 def _check_claims(file: BinaryFile, name: str) -> None:
@@ -241,8 +249,14 @@ def check_tiles(picture: Image.Image) -> None:
 
 def _from_pil(picture: Image.Image, name: str) -> ImageArray:
     try:
-        picture.load()  # a PIL image handed in may not be decoded yet
-        picture = _upright(picture)
+        picture, _ = load_upright(picture)  # a PIL image handed in may not be decoded yet
+    except Exception as error:  # see ``_open``
+        raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
+    return _from_upright(picture, name)
+
+
+def _from_upright(picture: Image.Image, name: str) -> ImageArray:
+    try:
         values = as_array(picture, picture.mode if picture.mode == "F" or picture.mode.startswith("I") else "RGB")
     except Exception as error:  # see ``_open``
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
@@ -253,12 +267,17 @@ def _from_pil(picture: Image.Image, name: str) -> ImageArray:
     return _from_array(values, name)
 
 
-def _upright(picture: Image.Image) -> Image.Image:
+def load_upright(picture: Image.Image) -> tuple[Image.Image, int]:
+    """Decode a picture, and turn it upright by its EXIF orientation; returns that, too: 1 where nothing is turned."""
+    by_pillow = getattr(picture, "tag_v2", {}).get(_ORIENTATION_TAG)  # it turns a TIFF when it decodes it
+    picture.load()
     try:
         orientation = picture.getexif().get(_ORIENTATION_TAG)
     except Exception:  # broken EXIF says nothing about the pixels, which were decoded without it
-        return picture
-    return picture.transpose(_UPRIGHT[orientation]) if orientation in _UPRIGHT else picture
+        orientation = None
+    if orientation in _UPRIGHT:
+        return picture.transpose(_UPRIGHT[orientation]), orientation
+    return picture, by_pillow if by_pillow in _UPRIGHT else 1
 
 
 def _from_array(array: np.ndarray, name: str) -> ImageArray:

@@ -1,41 +1,14 @@
 """Maps that are smaller than their photo, lie on their side, or may lie upside down."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from zoedepth.data.fit import check_fit, read_orientation, says_how_it_lies, spread
+from zoedepth.data.fit import check_fit, says_how_it_lies, spread
 from zoedepth.errors import InputError
-from zoedepth.images import read_image
-from zoedepth.stored import Memory
 
 NAMES = ("a.jpg", "a.png")
-
-
-def save_photo(path: Path, orientation: int | None, size: tuple[int, int] = (6, 4)) -> Path:
-    exif = Image.Exif()
-    if orientation is not None:
-        exif[0x0112] = orientation
-    Image.new("RGB", size).save(path, exif=exif)
-    return path
-
-
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tiff"])
-@pytest.mark.parametrize("orientation", [None, 1, 3, 6, 8, 9])
-def test_orientation_is_the_one_that_turns_the_photo(tmp_path: Path, suffix: str, orientation: int | None) -> None:
-    photo = save_photo(tmp_path / f"photo{suffix}", orientation)
-    found = read_orientation(photo)
-    assert found == (orientation if orientation in (3, 6, 8) else 1)
-    assert (read_image(photo).shape == (6, 4, 3)) == (found in (6, 8))
-    assert read_orientation(Memory(photo.read_bytes(), "in a shard")) == found
-
-
-def test_what_is_no_photo_is_not_turned(tmp_path: Path) -> None:
-    (tmp_path / "photo.jpg").write_bytes(b"no photo")
-    assert read_orientation(tmp_path / "photo.jpg") == read_orientation(tmp_path / "none.jpg") == 1
 
 
 @pytest.mark.parametrize(

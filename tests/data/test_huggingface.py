@@ -98,6 +98,28 @@ def test_other_columns_are_an_error_that_names_them(tmp_path: Path, names: tuple
         open_dataset(folder, domain="indoor")
 
 
+def test_two_columns_that_may_be_meant_are_an_error() -> None:
+    data = datasets.Dataset.from_dict(
+        {"image": [GREY], "depth": [METRES], "depth_map": [METRES]},
+        features=datasets.Features({"image": datasets.Image(), "depth": array(), "depth_map": array()}),
+    )
+    with pytest.raises(InputError, match="rows has the columns depth_map and depth: it is not clear"):
+        HuggingFaceDataset(data, name="rows", domain="indoor")
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_photo_that_exif_turns_must_show_how_depth_lies(orientation: int) -> None:
+    exif, file = Image.Exif(), io.BytesIO()
+    exif[0x0112] = orientation
+    GREY.save(file, "JPEG", exif=exif)
+    data = datasets.Dataset.from_dict(
+        {"image": [{"bytes": file.getvalue(), "path": None}], "depth": [METRES]},
+        features=datasets.Features({"image": datasets.Image(), "depth": array()}),
+    )
+    with pytest.raises(InputError, match=f"row 0, image is .*EXIF orientation {orientation}|EXIF orientation 6 turns"):
+        HuggingFaceDataset(data, name="rows", domain="indoor")[0]
+
+
 def test_colour_is_no_depth(tmp_path: Path) -> None:
     folder = save(tmp_path / "saved", [GREY], datasets.Image())
     with pytest.raises(InputError, match=r"row 0, depth_map.*RGB"):

@@ -143,3 +143,23 @@ def test_photo_that_exif_turns_by_90_degrees_shows_how_the_map_lies() -> None:
     square = np.zeros((2, 2, 3), np.uint8)
     with pytest.raises(InputError, match="EXIF orientation 6, and nothing says"):
         make(LEVELS[:, :2], facts=Facts(1000), photo=square, orientation=6)
+
+
+def test_map_that_its_own_exif_turns_must_lie_as_the_photo_does() -> None:
+    for stored, photo, fits in ((3, 3, True), (3, 1, False), (2, 3, False), (6, 1, True), (1, 6, True)):
+        found = StoredMap(LEVELS, orientation=stored)
+        options = {"kind": "depth", "facts": Facts(1000), "name": "a", "files": ("a.jpg", "a.png")}
+        if fits:
+            assert to_sample(PHOTO, found, orientation=photo, **options).mask.any()
+            continue
+        turned, other = ("a.jpg", "a.png") if photo == 3 else ("a.png", "a.jpg")
+        with pytest.raises(InputError, match=f"{turned} is turned upright by its EXIF .* whether {other} is, too"):
+            to_sample(PHOTO, found, orientation=photo, **options)
+
+
+def test_relative_depth_is_no_depth() -> None:
+    found = StoredMap(LEVELS, relative=True)
+    options = {"facts": Facts(1000), "name": "a", "files": ("a.jpg", "a.png")}
+    with pytest.raises(InputError, match=r"a\.png holds relative depth, which has no metres"):
+        to_sample(PHOTO, found, kind="depth", **options)
+    assert to_sample(PHOTO, found, kind="disparity", **options).mask.any()

@@ -15,6 +15,7 @@ from tests.shards.samples import THREE, Listed, same, sample, there_and_back
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.outputs.depth import write_depth_png
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.shards.writer import ShardSize, whole_numbers, write_shards
 
@@ -62,6 +63,21 @@ class TestThereAndBack:
         ]
         samples[3] = replace(samples[3], target=torch.tensor([[[-1.5, 0.0, 0.0]]]))
         assert all(same(*two) for two in zip(there_and_back(tmp_path, samples), samples, strict=True))
+
+    @pytest.mark.parametrize("orientation", [1, 3, 6])
+    def test_photos_that_exif_turns(self, tmp_path: Path, orientation: int):
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.effect_noise((6, 4), 100).save(tmp_path / "a.jpg", exif=exif)
+        size = (6, 4) if orientation == 6 else (4, 6)
+        write_depth_png(tmp_path / "a.png", np.full(size, 2, np.float32))
+        (tmp_path / "list.csv").write_text("image,depth,domain\na.jpg,a.png,indoor\n")
+        pairs = PairDataset(tmp_path / "list.csv")
+        write_shards(pairs, tmp_path / "out", name="data", size=THREE)
+        assert same(ShardDataset(tmp_path / "out")[0], pairs[0])
+        with tarfile.open(tmp_path / "out" / "data-000000.tar") as archive:
+            # Depth in shards does not say that it lies as the photo does.
+            assert ("00000000.jpg" in archive.getnames()) == (orientation != 3)
 
     @pytest.mark.parametrize("scale", [1000, 256, 5000, 100, 1])
     def test_every_level_of_sixteen_bits_is_found_again(self, scale: int):

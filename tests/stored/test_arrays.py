@@ -8,7 +8,7 @@ from tests import bombs
 
 from zoedepth.errors import InputError
 from zoedepth.images import MAX_PIXELS
-from zoedepth.stored import read_depth, read_npy, read_pfm
+from zoedepth.stored import Memory, read_depth, read_npy, read_pfm, read_pgm, read_stored
 
 METRES = np.array([[0.5, 1.25, 0], [300.25, 2, 65.5]], np.float32)
 
@@ -44,6 +44,54 @@ def test_pfm_that_is_none(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.pfm").write_bytes(content)
     with pytest.raises(InputError, match=r"a\.pfm is not a readable PFM"):
         read_pfm(tmp_path / "a.pfm")
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["P5\n3 2\n65535\n", "P5 3 2 4095 ", "P5\n# by a camera\n3 2\n# of 10 bits\n1023\n", "P5\r\n3\t2\r\n65535\n"],
+)
+def test_pgm_of_16_bits_has_the_values_as_they_are_stored(tmp_path: Path, header: str) -> None:
+    levels = np.array([[0, 1, 256], [1000, 4095, 10]], np.uint16)
+    (tmp_path / "a.pgm").write_bytes(header.encode() + levels.astype(">u2").tobytes())
+    found = read_pgm(tmp_path / "a.pgm")
+    np.testing.assert_array_equal(found, levels)
+    assert found.dtype == np.uint16  # of this machine's byte order
+    np.testing.assert_array_equal(read_depth(tmp_path / "a.pgm", scale=1000), levels / np.float32(1000))
+    with pytest.raises(InputError, match=r"a\.pgm does not say its scale"):
+        read_depth(tmp_path / "a.pgm")
+
+
+def test_pgm_of_8_bits(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(b"P5 3 1 255\n\x0a\x00\xff")  # the first value is a line's end, too
+    assert read_pgm(tmp_path / "a.pgm").tolist() == [[10, 0, 255]]
+    with pytest.raises(InputError, match="8 bits a pixel"):
+        read_depth(tmp_path / "a.pgm", scale=1)
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [
+        (b"", "begins with P5"),
+        (b"P2\n1 1\n255\n7", "begins with P5"),
+        (b"P6\n1 1\n255\n123", "begins with P5"),
+        (b"P5\n2 2\n65535\n1234567", "cut short"),
+        (b"P5\n2 2\n65536\n" + bytes(8), "greatest value is 65536"),
+        (b"P5\n0 2\n255\n", "one map"),
+        (b"P5\n999999999 999999999\n255\n", "more than"),
+        (b"P5\n" + b"#\n" * 100_000, "begins with P5"),
+    ],
+    ids=range(8),
+)
+def test_pgm_that_is_none(tmp_path: Path, content: bytes, word: str) -> None:
+    (tmp_path / "a.pgm").write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\.pgm is not a readable PGM.*{word}"):
+        read_pgm(tmp_path / "a.pgm")
+
+
+def test_portable_maps_in_memory() -> None:
+    pfm = b"Pf\n1 1\n-1\n" + np.float32(1.5).tobytes()
+    assert read_stored(Memory(pfm, "a", ".pfm")).values.tolist() == [[1.5]]
+    assert read_stored(Memory(b"P5 1 1 65535 \1\0", "a", ".pgm")).values.tolist() == [[256]]
 
 
 def test_map_of_as_many_pixels_as_a_photo_is_no_bomb(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from tests import bombs
 import zoedepth
 from zoedepth.errors import InputError
 from zoedepth.outputs.depth import write_depth_png
+from zoedepth.outputs.relative import write_relative_png
 from zoedepth.stored import (
     Memory,
     declared_scale,
@@ -123,3 +124,24 @@ def test_maps_from_memory(tmp_path: Path) -> None:
     assert read_stored(Memory(path.read_bytes(), "a.tar, sample 3", ".png")).values.tolist() == [[500]]
     with pytest.raises(InputError, match=r"a\.tar, sample 3.*not inside a shard"):
         read_stored(Memory(b"", "a.tar, sample 3", ".exr"))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tiff"])
+@pytest.mark.parametrize("orientation", [None, 1, 3, 6])
+def test_map_is_turned_upright_as_photos_are(tmp_path: Path, suffix: str, orientation: int | None) -> None:
+    levels = np.array([[1, 2, 3], [4, 5, 60000]], np.uint16)
+    exif = Image.Exif()
+    if orientation is not None:
+        exif[0x0112] = orientation
+    Image.fromarray(levels).save(tmp_path / f"a{suffix}", exif=exif)
+    stored = read_stored(tmp_path / f"a{suffix}")
+    turned = {3: levels[::-1, ::-1], 6: np.rot90(levels, -1)}.get(orientation, levels)
+    np.testing.assert_array_equal(stored.values, turned)
+    assert stored.orientation == (orientation or 1)
+
+
+def test_relative_depth_of_this_package_says_so(tmp_path: Path) -> None:
+    write_relative_png(tmp_path / "a.png", METRES)
+    assert read_stored(tmp_path / "a.png").relative
+    write_depth_png(tmp_path / "a.png", METRES)
+    assert not read_stored(tmp_path / "a.png").relative

@@ -1,34 +1,20 @@
 """Do a photo and a map about it lie alike and fit each other? A smaller map becomes points of the photo."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from PIL import Image
 
 from zoedepth.errors import InputError
-from zoedepth.stored import Memory
 
 Size = Sequence[int]
 
-_ORIENTATION_TAG = 0x0112  # EXIF 2.3
 _ALIKE = 0.01
 """Relative difference up to which proportions are the same: a camera's depth has pixels of some photo pixels' size."""
 _MUCH = 1.5
 """Factor from which on a map is smaller because its camera is, and not because it was cropped."""
 
 Values = TypeVar("Values", bound=np.ndarray)
-
-
-def read_orientation(photo: Path | Memory) -> int:
-    """Return the EXIF orientation by which ``read_image`` turns a photo upright; 1 is upright already."""
-    try:
-        with Image.open(photo) as picture:  # its header only, of a file that was read already
-            orientation = picture.getexif().get(_ORIENTATION_TAG, 1)
-    except Exception:  # broken EXIF says nothing, and ``read_image`` does not turn such a photo either
-        return 1
-    return orientation if orientation in range(2, 9) else 1
 
 
 def says_how_it_lies(size: Size, orientation: int) -> bool:

@@ -11,17 +11,17 @@ from zoedepth.data.facts import Facts, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.images import MAX_PIXELS, read_image
+from zoedepth.images import MAX_PIXELS, read_image_with_orientation
 from zoedepth.stored import Memory, StoredMap, read_stored
 
 if TYPE_CHECKING:
     import datasets
 
 PHOTOS = ("image", "rgb")
-"""Columns that may hold the photo; the first that is there is taken."""
+"""Columns that may hold the photo."""
 
 DEPTHS = ("depth_map", "depth")
-"""Columns that may hold depth; the first that is there is taken."""
+"""Columns that may hold depth."""
 
 _MAGIC = {b"\x89PNG": ".png", b"II*\0": ".tiff", b"MM\0*": ".tiff"}
 
@@ -92,7 +92,7 @@ class HuggingFaceDataset(Dataset[Sample]):
         folder: has the ``dataset.json`` that may say what the arguments do not.
 
     Raises:
-        InputError: columns are missing, there are no rows, or nobody says the domain.
+        InputError: columns are missing or ambiguous, there are no rows, or nobody says the domain.
     """
 
     def __init__(
@@ -107,6 +107,12 @@ class HuggingFaceDataset(Dataset[Sample]):
         folder: Path | None = None,
     ) -> None:
         features = data.features
+        for names in (PHOTOS, DEPTHS):
+            if len(found := [column for column in names if column in features]) > 1:
+                raise InputError(
+                    f"{name} has the columns {' and '.join(found)}: it is not clear which is meant. Remove one of them "
+                    "(remove_columns), and save it to disk"
+                )
         photo, depth = (next((c for c in names if c in features), None) for names in (PHOTOS, DEPTHS))
         if photo is None or depth is None or not isinstance(features[photo], _library().Image):
             wanted = f"an Image in {' or '.join(PHOTOS)} and depth in {' or '.join(DEPTHS)}"
@@ -138,12 +144,14 @@ class HuggingFaceDataset(Dataset[Sample]):
         index = range(len(self))[index]
         photo, depth = self._columns
         names = tuple(f"{self.name}, row {index}, {column}" for column in self._columns)
+        image, orientation = read_image_with_orientation(_file(self._photos[index][photo], names[0]))
         return to_sample(
-            read_image(_file(self._photos[index][photo], names[0])),
+            image,
             _stored(self._depths[index][depth], names[1]),
             kind="depth",
             facts=self._facts,
             default_scale=self._default_scale,
+            orientation=orientation,
             name=f"{index:08d}",
             files=(names[0], names[1]),
         )

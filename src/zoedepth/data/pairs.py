@@ -25,13 +25,12 @@ from pathlib import Path
 from torch.utils.data import Dataset
 
 from zoedepth.data.facts import Facts, read_defaults
-from zoedepth.data.fit import read_orientation
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError
-from zoedepth.images import read_image
+from zoedepth.images import read_image_with_orientation
 from zoedepth.stored import read_mask, read_stored
 
 __all__ = ["Pair", "PairDataset", "find_list"]
@@ -111,15 +110,16 @@ class PairDataset(Dataset[Sample]):
             MissingExtraError: a format needs a library that is not installed.
         """
         pair = self.pairs[index]
+        photo, orientation = read_image_with_orientation(pair.image)
         return to_sample(
-            read_image(pair.image),
+            photo,
             None if pair.target is None else read_stored(pair.target),
             kind=pair.kind,
             facts=Facts(pair.scale, pair.domain, pair.camera, pair.max_depth or self.max_depth),
             default_scale=self._default_scale,
             mask=None if pair.mask is None else read_mask(pair.mask),
             name=_name(pair.image, self._root),
-            orientation=read_orientation(pair.image),
+            orientation=orientation,
             files=(pair.image, pair.target),
         )
 

@@ -51,7 +51,13 @@ def to_sample(
     size = photo.shape[0], photo.shape[1]
     if stored is not None:
         # A depth map that says its scale is of this package, which predicts the upright photo.
-        _check(size, stored.values, files, orientation, lies_alike=stored.scale is not None)
+        own = orientation if stored.scale is not None else stored.orientation
+        _check(size, stored.values, files, orientation, own=own)
+        if kind == "depth" and stored.relative:
+            raise InputError(
+                f"{files[1]} holds relative depth, which has no metres. Give a map of depth, or train stage 1 "
+                "on it as disparity"
+            )
     if mask is not None:
         _check(size, mask, (files[0], f"the mask of {files[1]}"), orientation)
         if stored is not None and mask.shape not in (size, stored.values.shape):
@@ -89,19 +95,16 @@ def to_sample(
 
 
 def _check(
-    size: tuple[int, int],
-    found: np.ndarray,
-    names: tuple[object, object],
-    orientation: int,
-    *,
-    lies_alike: bool = False,
+    size: tuple[int, int], found: np.ndarray, names: tuple[object, object], orientation: int, *, own: int = 1
 ) -> None:
-    """Check that a map fits its photo, and lies as the photo does."""
+    """Check that a map fits its photo, and lies as the photo does; ``own`` is the orientation of its file."""
     check_fit(size, found.shape, names=names, orientation=orientation)
-    if not (lies_alike or says_how_it_lies(size, orientation)):
+    if own != orientation and not (says_how_it_lies(size, orientation) and says_how_it_lies(size, own)):
+        turned, other = names if orientation != 1 else reversed(names)
+        number = orientation if orientation != 1 else own
         raise InputError(
-            f"{names[0]} is turned upright by its EXIF orientation {orientation}, and nothing says whether {names[1]} "
-            "is, too. Save the photo without the orientation, so that both lie alike"
+            f"{turned} is turned upright by its EXIF orientation {number}, and nothing says whether {other} is, too. "
+            f"Save {turned} without the orientation, so that both lie alike"
         )
 
 

@@ -20,7 +20,7 @@ from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.download import cache_home, download
 from zoedepth.errors import InputError
-from zoedepth.images import read_image
+from zoedepth.images import read_image_with_orientation
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
 from zoedepth.shards.members import MAX_JSON, find_roles, unpack
 from zoedepth.stored import Memory, parse_json, read_mask, read_stored
@@ -135,14 +135,16 @@ class ShardDataset(Dataset[Sample]):
         facts = parse_facts(about, where)
         name = about.get("name")
         target = _member(members, roles.target, where)
+        photo, orientation = read_image_with_orientation(_member(members, roles.photo, where))
         return to_sample(
-            read_image(_member(members, roles.photo, where)),
+            photo,
             read_stored(target),
             kind=roles.kind,
             facts=replace(facts.over(self._defaults), depth_scale=facts.depth_scale),
             default_scale=self._defaults.depth_scale,
             mask=None if roles.mask is None else read_mask(_member(members, roles.mask, where)),
             mask_decides=True,
+            orientation=orientation,
             name=name if isinstance(name, str) else f"{shard.name}/{place}",
             files=(f"{where}, .{roles.photo}", target),
         )

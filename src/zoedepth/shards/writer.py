@@ -16,6 +16,7 @@ from jaxtyping import UInt16
 from PIL import Image
 from torch.utils.data import DataLoader, Dataset
 
+from zoedepth.data.fit import says_how_it_lies
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample, Samples, Target
 from zoedepth.datasets.published import PublishedDataset
@@ -27,7 +28,7 @@ from zoedepth.images import (
     PNG_SCALE_MILLIMETRE,
     DepthArray,
     atomic_path,
-    read_image,
+    read_image_with_orientation,
 )
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index
 from zoedepth.shards.members import MAX_SAMPLE, pack
@@ -167,8 +168,10 @@ def _pack_photo(sample: Sample, path: Path | None) -> dict[str, bytes]:
     if path is not None and path.suffix.lower() in IMAGE_SUFFIXES:
         content = path.read_bytes()
         # Some data sets crop or resize the photo of the file.
-        shown = torch.tensor(read_image(Memory(content, str(path)))).permute(2, 0, 1).float() / 255
-        if torch.equal(shown, sample.image):
+        photo, orientation = read_image_with_orientation(Memory(content, str(path)))
+        shown = torch.tensor(photo).permute(2, 0, 1).float() / 255
+        # Where it is not seen how depth lies that belongs to a turned photo, the photo is stored upright.
+        if torch.equal(shown, sample.image) and says_how_it_lies(photo.shape[:2], orientation):
             suffix = path.suffix.lower().removeprefix(".")
             return {"jpg" if suffix == "jpeg" else suffix: content}
     pixels = (sample.image * 255).round().clamp(0, 255).byte().permute(1, 2, 0)

@@ -5,7 +5,7 @@ unpacks anything: no small file can fill the memory. Everything that is wrong wi
 that names it.
 """
 
-from zoedepth.stored.arrays import read_npy, read_npz, read_pfm
+from zoedepth.stored.arrays import read_npy, read_npz, read_pfm, read_pgm
 from zoedepth.stored.exr import read_exr
 from zoedepth.stored.files import BoundedFile, Map, Memory
 from zoedepth.stored.hdf5 import read_hdf5
@@ -52,6 +52,7 @@ __all__ = [
     "read_npz",
     "read_numbers",
     "read_pfm",
+    "read_pgm",
     "read_png",
     "read_png16",
     "read_png_with_text",

@@ -1,5 +1,6 @@
-"""Arrays as NumPy and the portable float map store them: .npy, .npz, .pfm."""
+"""Arrays as NumPy and the portable maps store them: .npy, .npz, .pfm, .pgm."""
 
+import re
 import zipfile
 from io import BytesIO
 from math import prod
@@ -13,6 +14,9 @@ from zoedepth.images import check_expansion
 from zoedepth.stored.files import PIECE, BoundedFile, Map, Memory, check_map, read_binary
 
 _MAX_NPY_HEADER = 10_000
+_MAX_PGM_HEADER = 1000
+# Width, height and the greatest value, with white space or comments before each.
+_PGM = re.compile(rb"P5" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"\s")
 
 
 def read_npy(file: Path | Memory) -> Map:
@@ -25,9 +29,14 @@ def read_npz(file: Path | Memory) -> Map:
     return read_binary(file, _parse_npz, "a readable .npz with one map of depth")
 
 
-def read_pfm(path: Path) -> Float32[np.ndarray, "height width"]:
+def read_pfm(file: Path | Memory) -> Float32[np.ndarray, "height width"]:
     """Read a portable float map of one channel. Its rows are stored from the bottom up; here the top one is first."""
-    return read_binary(path, _parse_pfm, "a readable PFM of one channel")
+    return read_binary(file, _parse_pfm, "a readable PFM of one channel")
+
+
+def read_pgm(file: Path | Memory) -> Map:
+    """Read a portable grey map of 8 or 16 bits, stored in binary. Its values are not scaled, as picture readers do."""
+    return read_binary(file, _parse_pgm, "a readable PGM")
 
 
 def _parse_npz(file: IO[bytes]) -> np.ndarray:
@@ -71,6 +80,19 @@ def _parse_pfm(file: IO[bytes]) -> Float32[np.ndarray, "height width"]:
     check_map((height, width), np.dtype(np.float32))
     content = _read_exactly(file, 4 * width * height)
     return np.frombuffer(content, f"{order}f4").reshape(height, width)[::-1].astype(np.float32)
+
+
+def _parse_pgm(file: IO[bytes]) -> np.ndarray:
+    start = file.read(_MAX_PGM_HEADER)
+    if not (found := _PGM.match(start)):
+        raise ValueError("it must be a binary one, which begins with P5 and three numbers")
+    width, height, greatest = (int(number) for number in found.groups())
+    if not 0 < greatest < 1 << 16:
+        raise ValueError(f"its greatest value is {greatest}")
+    dtype = np.dtype(np.uint8 if greatest < 256 else np.uint16)
+    check_map((height, width), dtype)
+    content = _read_exactly(file, dtype.itemsize * width * height, begun=start[found.end() :])
+    return np.frombuffer(content, dtype.newbyteorder(">")).reshape(height, width).astype(dtype)
 
 
 def _read_exactly(file: IO[bytes], size: int, *, begun: bytes = b"") -> bytearray:

@@ -9,16 +9,19 @@ from PIL import Image
 
 from zoedepth.claims import check_claims
 from zoedepth.errors import InputError
-from zoedepth.images import MAX_PIXELS, DepthArray, as_array, check_expansion, check_tiles
-from zoedepth.stored.arrays import read_npy, read_npz
+from zoedepth.images import MAX_PIXELS, DepthArray, as_array, check_expansion, check_tiles, load_upright
+from zoedepth.stored.arrays import read_npy, read_npz, read_pfm, read_pgm
 from zoedepth.stored.exr import read_exr
 from zoedepth.stored.files import Map, Memory, check_exists
 
-DEPTH_SUFFIXES = (".png", ".npy", ".npz", ".exr", ".tif", ".tiff")
+DEPTH_SUFFIXES = (".png", ".npy", ".npz", ".exr", ".tif", ".tiff", ".pfm", ".pgm")
 """Suffixes (lower case) of files that can hold depth."""
 
 SCALE_KEY = "DepthScale"
 """The PNG text chunk in which this package says the unit of the depth it writes: the stored value of one metre."""
+
+RELATIVE_KEY = "RelativeMin"
+"""A PNG text chunk of the relative depth that this package writes, which has no unit."""
 
 # Bytes of a pixel that count, by mode: half of what reading takes, with the copy in metres; others have 4.
 _BYTES = {"1": 2, "L": 2, "P": 2, "I;16": 3, "I;16B": 3}
@@ -31,15 +34,19 @@ class StoredMap(NamedTuple):
     values: Map
     scale: float | None = None
     """The stored value of one metre, where the file itself says it."""
+    orientation: int = 1
+    """The EXIF orientation by which the map was turned upright; 1 where it says none."""
+    relative: bool = False
+    """True where the file says that it holds relative depth."""
 
 
 def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     """Read a depth map: float32 (height, width) in metres, 0 where there is no depth.
 
     Args:
-        path: a PNG or TIFF of one channel; an .npy, an .npz with an array ``depth``, or an .exr, in metres.
-        scale: stored value of one metre in a PNG or TIFF, for example 1000 for millimetres. None takes the number that
-            ``write_depth`` left in the PNG.
+        path: a PNG, TIFF or PGM of one channel; an .npy, an .npz with an array ``depth``, an .exr or a .pfm, in metres.
+        scale: stored value of one metre in a PNG, TIFF or PGM, for example 1000 for millimetres. None takes the number
+            that ``write_depth`` left in the PNG.
 
     Raises:
         InputError: the file is missing, damaged or too large, has another format, is not one channel of 16 bits or
@@ -48,7 +55,7 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     """
     path = Path(path)
     stored = read_stored(path)
-    if path.suffix.lower() not in _PICTURES or stored.values.dtype.kind == "f":
+    if path.suffix.lower() not in (*_PICTURES, ".pgm") or stored.values.dtype.kind == "f":
         return stored.values.astype(np.float32, copy=False)
     if stored.values.dtype.itemsize < 2:
         raise InputError(f"{path} is not a depth map: it has 8 bits a pixel. Give a PNG of one channel of 16 bits")
@@ -59,7 +66,7 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
 
 
 def read_stored(file: Path | Memory) -> StoredMap:
-    """Read the map of a file: a PNG or TIFF of one channel, an .npy, an .npz with an array ``depth``, or an .exr.
+    """Read the map of a file: of one of ``DEPTH_SUFFIXES``, with one channel, or an array ``depth`` in an .npz.
 
     Raises:
         InputError: the file is missing, damaged or too large, has another format, or more than one channel.
@@ -74,6 +81,10 @@ def read_stored(file: Path | Memory) -> StoredMap:
         return StoredMap(read_npy(file))
     if suffix == ".npz":
         return StoredMap(read_npz(file))
+    if suffix == ".pfm":
+        return StoredMap(read_pfm(file))
+    if suffix == ".pgm":
+        return StoredMap(read_pgm(file))
     raise InputError(f"cannot read depth from {file}: use one of {', '.join(DEPTH_SUFFIXES)} (.exr not inside a shard)")
 
 
@@ -127,14 +138,16 @@ def _read_picture(file: Path | Memory, format: str, *, one_bit: bool = False) ->
             check_tiles(picture)
             n_bytes = file.getbuffer().nbytes if isinstance(file, Memory) else file.stat().st_size
             check_expansion(picture.width * picture.height * _BYTES.get(picture.mode, 4), n_bytes)
-            mode, values, scale = picture.mode, as_array(picture, picture.mode), _scale_in(picture)
+            mode, scale, relative = picture.mode, _scale_in(picture), RELATIVE_KEY in picture.info
+            picture, orientation = load_upright(picture)
+            values = as_array(picture, mode)
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{file} is not a readable {format} ({error})") from error
     if values.ndim != 2 or mode == "P" or (mode == "1" and not one_bit):
         raise InputError(
             f"{file} is not a depth map: it must be a {format} of one channel of 8 or 16 bits, and is of mode {mode!r}"
         )
-    return StoredMap(values, scale)
+    return StoredMap(values, scale, orientation, relative)
 
 
 def _scale_in(picture: Image.Image) -> float | None:
