@@ -2,8 +2,10 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
@@ -17,7 +19,6 @@ from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.evaluation.dataset_scores import score_dataset
-from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
 from zoedepth.evaluation.predictions import FolderSource, ModelSource, PredictionSource
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Protocol
 from zoedepth.metrics import Metrics, mean_metrics
@@ -110,7 +111,7 @@ class TestProtocol:
             (("--min-depth", "2"), replace(INDOOR, min_depth=2.0)),
             (("--protocol", "nyu"), PROTOCOLS["nyu"]),
             (("--protocol", "rooms=ibims"), PROTOCOLS["ibims"]),
-            (("--protocol", "plain", "rooms=ibims", "--pad"), replace(PROTOCOLS["ibims"], pad=True)),
+            (("--protocol", "plain", "rooms=ibims", "--pad", "yes"), replace(PROTOCOLS["ibims"], pad=True)),
             (("--protocol", "rooms=ibims", "plain"), PROTOCOLS["ibims"]),
         ],
     )
@@ -126,7 +127,7 @@ class TestProtocol:
         ("arguments", "protocol"),
         [
             (("--no-flip",), replace(INDOOR, flip_average=False)),
-            (("--pad",), replace(INDOOR, pad=True)),
+            (("--pad", "yes"), replace(INDOOR, pad=True)),
             (("--resize", "squeeze"), replace(INDOOR, resize="squeeze")),
         ],
     )
@@ -188,19 +189,19 @@ class TestSources:
     def test_two_of_one_name_are_an_error(self, tmp_path: Path, capsys, monkeypatch, options: tuple[str, ...]):
         monkeypatch.chdir(tmp_path)
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        (tmp_path / "theirs").mkdir()
         assert "name them" in error(capsys, *options, "--data", path)
 
-    def test_scores_belong_to_weights_behaviours_and_list(self, model: Path, tmp_path: Path, capsys):
+    def test_scores_belong_to_model_behaviours_and_data(self, model: Path, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
         options = ["--data", path, "--out", tmp_path / "out", "--no-pictures"]
         run(capsys, "--model", f"tiny={model}", "--compat", "batch-vote", *options)
         header = json.loads((tmp_path / "out/tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()[0])
         assert header["about"] == {
             "source": "tiny",
-            "weights": weights_fingerprint(model),
+            "model": str(model),
             "compat": ["batch-vote"],
             "data": str(path),
-            "list": list_fingerprint(str(path)),
         }
 
     def test_other_peoples_depth_maps(self, tmp_path: Path, capsys):
@@ -275,9 +276,19 @@ class TestOutput:
         path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
         (record,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
         counts = {"images", "without_truth", "failed", "router", "alignment", "source", "data", "protocols"}
-        assert set(record) == METRICS | counts
+        assert set(record) == METRICS | {"boundary_f1", "ause", "coverage1", "coverage2"} | counts
         assert (record["images"], record["without_truth"]) == (2, 1)
         assert all(isinstance(record[name], float) for name in METRICS)
+
+    def test_json_has_what_is_measured_of_uncertainty_and_edges(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=1, split="test")
+        (record,) = run(capsys, "--model", model, "--data", path)
+        score = score_dataset(ModelSource(load_model(model)), PairDataset(path), {"indoor": INDOOR}).scores[0]
+        assert score.uncertainty is not None
+        expected = {**asdict(score.uncertainty), "boundary_f1": score.boundary_f1}
+        assert {name: record[name] for name in expected} == pytest.approx(expected)
+        (theirs,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
+        assert (theirs["ause"], theirs["coverage1"], theirs["coverage2"]) == (None, None, None)
 
     def test_line_without_truth_is_counted(self, tmp_path: Path, capsys):
         """KITTI's test list has 45 of them."""
@@ -320,17 +331,58 @@ class TestOutput:
         assert result["metrics"]["rel"] == pytest.approx(rel)
         assert len((out / "tiny/rooms/scores-0-of-1.jsonl").read_text().splitlines()) == 4
 
-    def test_the_same_command_goes_on_and_another_protocol_is_refused(self, tmp_path: Path, capsys):
+    def test_the_same_command_goes_on_and_another_protocol_is_refused(self, tmp_path: Path, capsys, monkeypatch):
         path = write_pairs(tmp_path / "rooms", n=2, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
         options = ["--predictions", theirs, "--data", path, "--out", tmp_path / "out", "--no-pictures"]
         first = run(capsys, *options)
-        for file in theirs.iterdir():
-            np.save(file, np.full((64, 96), 9.0, np.float32))  # not looked at again
+        for others in (("--crop", "none"), ("--predictions-scale", "2"), ("--predictions-kind", "disparity")):
+            assert "Give another --out" in error(capsys, *options, *others)
+        monkeypatch.setattr("zoedepth.evaluation.dataset_scores.predict", None)  # nothing is predicted again
         assert run(capsys, *options) == first
-        assert "give another --out" in error(capsys, *options, "--crop", "none")
-        path.write_text(path.read_text().replace(",1000,", ",500,"))
-        assert "give another --out" in error(capsys, *options)
+
+    @pytest.mark.parametrize("changed", ["predictions", "scale in the list", "scale in the settings", "depth"])
+    def test_what_has_changed_is_scored_anew(self, tmp_path: Path, capsys, changed: str):
+        """As in a folder of its own; and only where it has changed."""
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        theirs = write_predictions(tmp_path / "theirs", path)
+        settings = path.with_name("dataset.json")
+        settings.write_text('{"depth_scale": 1000}')
+        if changed == "scale in the settings":
+            path.write_text(path.read_text().replace(",1000,", ",,"))
+        options = ["--predictions", theirs, "--data", path, "--no-pictures", "--out"]
+        (old,) = run(capsys, *options, tmp_path / "out")
+        if changed == "predictions":
+            one = theirs / "test_001.npy"
+            np.save(one, np.load(one) * 0.9)
+        elif changed == "scale in the list":
+            path.write_text(path.read_text().replace(",1000,", ",900,"))
+        elif changed == "scale in the settings":
+            settings.write_text('{"depth_scale": 900}')
+        else:
+            one = tmp_path / "rooms/depth/test_001.png"
+            Image.fromarray(np.asarray(Image.open(one)) // 2).save(one)
+        assert main(["evaluate", "--json", *map(str, options), str(tmp_path / "out")]) == 0
+        output = capsys.readouterr()
+        n = 2 if "scale" in changed else 1
+        assert f"{n} images are scored anew" in output.err
+        (new,) = run(capsys, *options, tmp_path / "fresh")
+        assert json.loads(output.out) == new != old
+        assert len((tmp_path / "out/theirs/rooms/scores-0-of-1.jsonl").read_text().splitlines()) == 3
+
+    def test_weights_that_were_replaced_in_place_are_scored_anew(self, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        weights = tmp_path / "model.safetensors"
+        weights.write_bytes(model.read_bytes())
+        options = ["--model", f"tiny={weights}", "--data", path, "--no-pictures", "--out", tmp_path / "out"]
+        (old,) = run(capsys, *options)
+        changed = load_model(weights)
+        with torch.no_grad():
+            next(changed.parameters()).mul_(3)
+        save_model(changed, weights)
+        (new,) = run(capsys, *options)
+        assert new["rel"] != old["rel"]
+        assert metrics_of(new) == pytest.approx(expected(ModelSource(load_model(weights)), path, INDOOR))
 
     def test_failing_photo_is_left_out_of_the_report_and_its_pictures(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path / "rooms", n=3, split="test")
@@ -368,14 +420,29 @@ class TestOutput:
         assert "[bold]" in output
         assert "[/red]: protocol" in output
 
-    def test_the_papers_numbers_beside_ours(self, tmp_path: Path, capsys):
+    @pytest.mark.parametrize(("which", "n_rows"), [("best", 1), ("all", 41)])
+    def test_the_papers_numbers_beside_ours(self, tmp_path: Path, capsys, monkeypatch, which: str, n_rows: int):
+        monkeypatch.setenv("COLUMNS", "200")
         path = write_pairs(tmp_path / "rooms", n=1, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
-        options = ["--predictions", f"theirs={theirs}", "--data", f"nyu={path}", "--with-paper"]
+        options = ["--predictions", f"theirs={theirs}", "--data", f"nyu={path}", "--with-paper", which]
         assert main(["evaluate", *options, "--out", str(tmp_path / "out"), "--no-pictures"]) == 0
         for text in (capsys.readouterr().out, (tmp_path / "out/report.md").read_text()):
-            assert "ZoeD-M12-N (paper)" in text
-            assert "0.270" in text
+            assert text.count(" (paper) ") == n_rows
+            assert re.search(r"ZoeD-M12-N \(paper\).*0\.075.*0\.270", text)
+
+    @pytest.mark.parametrize("columns", [40, 80, 200])
+    def test_tables_keep_all_headings_names_and_numbers(self, tmp_path: Path, capsys, monkeypatch, columns: int):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        label = "a_name_that_is_too_long_for_a_column" * 2
+        theirs = write_predictions(tmp_path / "theirs", path)
+        assert main(["evaluate", "--predictions", f"{label}={theirs}", "--data", str(path)]) == 0
+        output = capsys.readouterr().out
+        assert "…" not in output
+        for text in (label, "RMSE (m)", "delta3", "SILog", "RMSE over pixels", "within 2 std", "0.20", "1.000"):
+            assert text in output
+        assert all(len(line) <= columns or line == label for line in output.splitlines() if "┃" not in line)
 
     def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path):
         """Failures of the second process, too."""
@@ -414,6 +481,101 @@ class TestOutput:
         # Neither a report nor pictures.
         files = [file.relative_to(tmp_path / "out") for file in (tmp_path / "out").rglob("*") if file.is_file()]
         assert files == [Path("theirs/rooms/scores-1-of-2.jsonl")]
+
+
+class TestPredictions:
+    """Depth maps of other tools, in their own units."""
+
+    @pytest.fixture
+    def path(self, tmp_path: Path) -> Path:
+        return write_pairs(tmp_path / "rooms", n=2, split="test")
+
+    def write(self, path: Path, folder: Path, change: Callable[[np.ndarray], np.ndarray]) -> Path:
+        """Write what becomes of the true depth, 3 m where it is unknown, whole numbers as PNG."""
+        folder.mkdir()
+        dataset = PairDataset(path)
+        for index in range(len(dataset)):
+            truth = dataset[index].target[0].numpy()
+            values = change(np.where(truth > 0, truth, 3))
+            stem = folder / Path(dataset[index].name).stem
+            np.save(f"{stem}.npy", values) if values.dtype.kind == "f" else Image.fromarray(values).save(f"{stem}.png")
+        return folder
+
+    def test_scale_that_nobody_says_is_proposed_and_taken(self, path: Path, tmp_path: Path, capsys):
+        raw = self.write(path, tmp_path / "raw", lambda depth: (256 * depth).round().astype(np.uint16))
+        options = ["--predictions", f"raw={raw}", "--data", path]
+        assert "add --predictions-scale, 256 fits" in error(capsys, *options, "--out", tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+        for scale in ("256", "raw=256"):
+            (record,) = run(capsys, *options, "--predictions-scale", scale)
+            assert record["rel"] < 2e-3
+
+    def test_scales_are_of_their_folders(self, path: Path, tmp_path: Path, capsys):
+        raw = self.write(path, tmp_path / "raw", lambda depth: (256 * depth).round().astype(np.uint16))
+        mm = self.write(path, tmp_path / "mm", lambda depth: 1000 * depth)
+        options = ["--predictions", raw, mm, "--data", path]
+        assert "1000 fits" in error(capsys, *options, "--predictions-scale", "raw=256")
+        records = run(capsys, *options, "--predictions-scale", "1000", "raw=256")
+        assert all(record["rel"] < 2e-3 for record in records)
+
+    def test_disparity_is_aligned_and_not_inverted_again(self, path: Path, tmp_path: Path, capsys):
+        inverse = self.write(path, tmp_path / "inverse", lambda depth: (500 / depth - 30).astype(np.float32))
+        options = ["--predictions", f"a={inverse}", "--data", path]
+        for align in ((), ("--align", "disparity")):
+            assert "--predictions-kind disparity" in error(capsys, *options, *align)
+            for kind in ("disparity", "a=disparity"):
+                (record,) = run(capsys, *options, *align, "--predictions-kind", kind)
+                assert record["rel"] < 1e-5
+                assert record["alignment"] == "disparity"
+
+    def test_disparity_beside_others_needs_an_alignment_of_all(self, path: Path, tmp_path: Path, capsys):
+        theirs = write_predictions(tmp_path / "theirs", path)
+        options = ["--predictions", f"a={theirs}", f"b={theirs}", "--data", path, "--predictions-kind", "b=disparity"]
+        assert "b has no metres: add --align disparity" in error(capsys, *options)
+        assert "--align disparity" in error(capsys, *options, "--align", "none")
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (("--predictions-scale", "mm"), "must be a number"),
+            (("--predictions-scale", "0"), "must be finite and > 0"),
+            (("--predictions-kind", "inverse"), "must be depth or disparity"),
+            (("--predictions-scale", "other=256"), "is given for ['other'], but the names are ['theirs']"),
+        ],
+    )
+    def test_options_that_make_no_sense_are_errors(self, path: Path, tmp_path: Path, capsys, options, message: str):
+        theirs = write_predictions(tmp_path / "theirs", path)
+        assert message in error(capsys, "--predictions", theirs, "--data", path, *options)
+
+    def test_options_for_predictions_need_some(self, path: Path, capsys):
+        assert "without --predictions" in error(capsys, "--data", path, "--predictions-scale", "256")
+
+    def test_unit_that_the_user_insists_on_is_noted(self, path: Path, tmp_path: Path, capsys):
+        mm = self.write(path, tmp_path / "mm", lambda depth: 1000 * depth)
+        assert main(["evaluate", "--predictions", str(mm), "--data", str(path), "--predictions-scale", "1"]) == 0
+        assert "note: " in (message := capsys.readouterr().err)
+        assert "the median depth is 2,7" in message or "m, and the true one" in message
+
+
+class TestOutFolder:
+    """An --out that cannot be used is refused before any work."""
+
+    @pytest.fixture
+    def options(self, tmp_path: Path, monkeypatch) -> list[object]:
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        monkeypatch.setattr("zoedepth.evaluation.evaluation_set.open_evaluation_set", None)  # nothing is opened
+        return ["--model", "zoed-lite", "--data", path, "--no-pictures", "--out"]
+
+    def test_file_in_its_place(self, options: list[object], tmp_path: Path, capsys):
+        (tmp_path / "out").write_text("mine")
+        assert "is no folder" in error(capsys, *options, tmp_path / "out")
+        assert "is no folder" in error(capsys, *options, tmp_path / "out/report")
+        assert (tmp_path / "out").read_text() == "mine"
+
+    def test_report_of_somebody_else(self, options: list[object], tmp_path: Path, capsys):
+        (tmp_path / "report.md").write_text("mine")
+        assert "is no evaluation's" in error(capsys, *options, tmp_path)
+        assert (tmp_path / "report.md").read_text() == "mine"
 
 
 class TestErrors:

@@ -3,9 +3,11 @@
 import dataclasses
 import json
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +15,12 @@ import torch
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
 
 from zoedepth.data.augment import kitti_crop
-from zoedepth.data.sample import Sample
+from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
-from zoedepth.evaluation.dataset_scores import Processes, read_scores, score_dataset
-from zoedepth.evaluation.predictions import ModelSource, Prediction
+from zoedepth.evaluation.dataset_scores import DatasetScores, Processes, score_dataset, score_files
+from zoedepth.evaluation.predictions import ModelSource, Prediction, PredictionSource
 from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
+from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score, score
 from zoedepth.evaluation.summary import summarise
 from zoedepth.model.zoedepth import ZoeDepth
@@ -149,8 +152,35 @@ def test_order_of_the_photos_does_not_matter() -> None:
 # ---------------------------------------------------------------------------------------------------- files
 
 
-def run(folder: Path, source: FactorSource, samples: list[Sample] | None = None, **options: object):
-    return score_dataset(source, samples or photos(5), PROTOCOLS, folder=folder, about={"model": "a"}, **options)
+def files_of(
+    folder: Path,
+    source: PredictionSource,
+    data: Samples | None = None,
+    *,
+    protocols: Mapping[str, Protocol] = PROTOCOLS,
+    about: Mapping[str, object] = MappingProxyType({"model": "a"}),
+    state: Mapping[str, object] = MappingProxyType({}),
+) -> ScoreFiles:
+    """Open the files of scores; the data is five photos if it is not given."""
+    return score_files(source, data or photos(5), protocols, folder, about=about, state=state)
+
+
+def run(
+    folder: Path,
+    source: PredictionSource,
+    data: Samples | None = None,
+    *,
+    processes: Processes | None = None,
+    track: Callable[[list[int]], Iterable[int]] = iter,
+    **options: Any,
+) -> DatasetScores:
+    files = files_of(folder, source, data, **options)
+    protocols = options.get("protocols", PROTOCOLS)
+    return score_dataset(source, data or photos(5), protocols, files=files, processes=processes, track=track)
+
+
+def read_scores(folder: Path, data: Samples | None = None) -> dict[int, Score]:
+    return files_of(folder, FactorSource(), data).read()
 
 
 def lines_of(folder: Path, name: str = "scores-0-of-1.jsonl") -> list[str]:
@@ -163,9 +193,9 @@ def test_file_has_a_header_and_a_line_an_image(tmp_path: Path) -> None:
     assert header == {
         "about": {"model": "a"},
         "protocols": {"indoor": EVERYWHERE.label, "outdoor": PLAIN.label},
-        "images": 5,
     }
     assert [line.pop("index") for line in lines] == [0, 1, 2, 3, 4]
+    assert len({line.pop("stamp") for line in lines}) == 5
     assert [Score.from_json(line) for line in lines] == list(found.scores.values())
     assert read_scores(tmp_path / "new" / "folder") == found.scores
 
@@ -244,16 +274,14 @@ def test_header_is_there_before_the_first_photo_is_predicted(tmp_path: Path) -> 
         {"about": {"model": "a", "more": 1}},
         {"protocols": {**PROTOCOLS, "indoor": replace(EVERYWHERE, max_depth=9.0)}},
         {"protocols": {"indoor": EVERYWHERE}},
-        {"data": photos(4)},
     ],
-    ids=["model", "more about it", "protocol", "domains", "data"],
+    ids=["model", "more about it", "protocol", "domains"],
 )
 def test_scores_of_something_else_are_an_error_that_names_the_file(tmp_path: Path, changes: dict[str, object]) -> None:
     run(tmp_path, FactorSource())
     before = lines_of(tmp_path)
-    given = {"data": photos(5), "protocols": PROTOCOLS, "about": {"model": "a"}, **changes}
-    with pytest.raises(InputError, match=r"scores-0-of-1\.jsonl.*give another --out"):
-        score_dataset(FactorSource(), folder=tmp_path, **given)
+    with pytest.raises(InputError, match=r"(?s)scores-0-of-1\.jsonl.* was .* and is .*Give another --out"):
+        files_of(tmp_path, FactorSource(), **changes)
     assert lines_of(tmp_path) == before
 
 
@@ -288,7 +316,7 @@ def test_two_processes_give_exactly_the_numbers_of_one(tmp_path: Path, order: tu
     for rank in order:
         run(tmp_path / "two", sources[rank], samples, processes=Processes(rank, 2))
     assert [asked(sources[rank]) for rank in (0, 1)] == [["0.jpg", "2.jpg", "6.jpg"], ["1.jpg", "3.jpg", "5.jpg"]]
-    together = read_scores(tmp_path / "two")
+    together = read_scores(tmp_path / "two", samples)
     assert list(together.items()) == list(alone.scores.items())
     numbers = dataclasses.asdict(summary_of(alone.scores))
     assert numbers == dataclasses.asdict(summary_of(together))
@@ -314,7 +342,7 @@ def test_another_number_of_processes_goes_on(tmp_path: Path, count: int) -> None
     for rank in range(count):
         run(tmp_path, sources[rank], samples, processes=Processes(rank, count))
     assert sorted(name for source in sources for name in asked(source)) == ["0.jpg", "2.jpg", "4.jpg", "6.jpg"]
-    assert read_scores(tmp_path) == run(tmp_path / "one", FactorSource(FACTORS), samples).scores
+    assert read_scores(tmp_path, samples) == run(tmp_path / "one", FactorSource(FACTORS), samples).scores
 
 
 @pytest.mark.parametrize(

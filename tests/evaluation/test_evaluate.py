@@ -15,7 +15,7 @@ from tests.folders import write_pairs
 
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.evaluation.dataset_scores import Processes, score_dataset
+from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
 from zoedepth.evaluation.evaluate import evaluate, folder_name
 from zoedepth.evaluation.evaluation_set import EvaluationSet
 from zoedepth.evaluation.summary import summarise
@@ -112,7 +112,7 @@ def test_folder_of_something_else_is_an_error(tmp_path: Path, label: str, source
     evaluate({"ours": NamedSource()}, {"rooms": evaluation_set(2, data="a.csv")}, folder=tmp_path)
     header = json.loads((tmp_path / "ours/rooms/scores-0-of-1.jsonl").read_text().splitlines()[0])
     assert header["about"] == {"source": "ours", "weights": "1234", "data": "a.csv"}
-    with pytest.raises(InputError, match="give another --out"):
+    with pytest.raises(InputError, match="Give another --out"):
         evaluate({label: source}, {"rooms": evaluation_set(2, **about)}, folder=tmp_path)
 
 
@@ -140,9 +140,11 @@ def test_report_has_tables_and_pictures(tmp_path: Path) -> None:
 
 def test_papers_rows_are_those_of_the_data_sets_name() -> None:
     found = evaluate({"ours": FactorSource()}, {"nyu": SETS["rooms"], "rooms": SETS["rooms"]})
-    nyu, _, _, rooms, _, _ = found.tables(with_paper=True)
+    nyu, _, _, rooms, _, _ = found.tables(with_paper="all")
     assert ("Eigen et al. (paper)", "not run", "0.158", "0.641", "-", "0.769", "0.950", "0.988", "-", "") in nyu.rows
     assert len(rooms.rows) == 1
+    best = found.tables(with_paper="best")[0]
+    assert [row[0] for row in best.rows] == ["ours", nyu.rows[1][0]]
     assert len(found.tables()[0].rows) == 1
 
 
@@ -171,8 +173,9 @@ def test_scores_of_the_other_processes_are_read_once_all_have_met(
     expected = evaluate({"ours": source}, sets).summaries
 
     def other_process_ends() -> None:
-        folder, about = tmp_path / "ours/rooms", {"source": "ours"}
-        score_dataset(source, SETS["rooms"].dataset, PROTOCOLS, folder=folder, about=about, processes=Processes(1, 2))
+        data = SETS["rooms"].dataset
+        files = score_files(source, data, PROTOCOLS, tmp_path / "ours/rooms", about={"source": "ours"})
+        score_dataset(source, data, PROTOCOLS, files=files, processes=Processes(1, 2))
 
     monkeypatch.setenv("RANK", "0")
     monkeypatch.setenv("WORLD_SIZE", "2")

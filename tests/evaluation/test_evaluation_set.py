@@ -10,7 +10,7 @@ from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.errors import InputError
 from zoedepth.evaluation.evaluation_set import open_evaluation_set
-from zoedepth.evaluation.identity import list_fingerprint
+from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS
 
 
@@ -77,7 +77,14 @@ def test_photo_without_truth_and_folder_with_a_test_list_are_read(tmp_path: Path
     write_pairs(tmp_path, n=5)
     found = open_evaluation_set(tmp_path)
     assert [bool(found.dataset[i].mask.any()) for i in range(len(found.dataset))] == [True, False]
-    assert found.about == {"data": str(tmp_path), "list": list_fingerprint(str(path))}
+    assert found.about == {"data": str(tmp_path)}
+
+
+def test_settings_of_the_data_are_its_state(tmp_path: Path) -> None:
+    path = write_pairs(tmp_path, n=1, split="test")
+    assert open_evaluation_set(path).state == {"settings": None}
+    (tmp_path / "dataset.json").write_text('{"max_depth": 9}')
+    assert open_evaluation_set(tmp_path).state == {"settings": settings_fingerprint(str(path))} != {"settings": None}
 
 
 def test_disparity_is_an_error_that_names_the_data(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from zoedepth.data.augment import kitti_crop
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
-from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
+from zoedepth.evaluation.identity import weights_fingerprint
 from zoedepth.evaluation.predictions import (
     TRIVIAL,
     ConstantSource,
@@ -132,8 +132,8 @@ def test_shorter_side_of_an_upright_photo_is_its_width(tiny_model: ZoeDepth) -> 
 def test_loaded_model_knows_what_its_scores_depend_on(tiny_model: ZoeDepth, tmp_path: Path) -> None:
     save_model(tiny_model, tmp_path / "tiny.safetensors")
     found = ModelSource.load(tmp_path / "tiny.safetensors", compat=["batch-vote"], device="cpu")
-    digest = weights_fingerprint(tmp_path / "tiny.safetensors")
-    assert found.about == {"weights": digest, "compat": ["batch-vote"]}
+    assert found.about == {"model": str(tmp_path / "tiny.safetensors"), "compat": ["batch-vote"]}
+    assert found.state("any.jpg") == weights_fingerprint(tmp_path / "tiny.safetensors")
     assert not found.model.training
     expected = ModelSource(load_model(tmp_path / "tiny.safetensors", compat=("batch-vote",)))
     sample = photo((50, 90))
@@ -206,18 +206,61 @@ def test_scale_of_a_png_is_that_in_the_file_or_the_one_given(tmp_path: Path) -> 
     Image.fromarray((DEPTH * 256).astype(np.uint16)).save(tmp_path / "b.png")
     found = FolderSource(tmp_path, scale=256).predict(named("b.jpg"), EVERYWHERE)
     np.testing.assert_array_equal(found.depth, DEPTH)
-    with pytest.raises(InputError, match=r"b\.png does not say its scale"):
+    with pytest.raises(InputError, match=r"b\.png does not say how many .* --predictions-scale"):
         FolderSource(tmp_path).predict(named("b.jpg"), EVERYWHERE)
+    found = FolderSource(tmp_path).predict(named("b.jpg"), replace(EVERYWHERE, alignment="median"))
+    np.testing.assert_array_equal(found.depth, DEPTH * 256)  # the alignment finds the scale
 
 
-def test_scale_is_not_for_files_in_metres(tmp_path: Path) -> None:
+def test_given_scale_is_for_all_files_of_the_folder(tmp_path: Path) -> None:
+    """Arrays of whole numbers and of millimetres in floating point, too."""
+    np.save(tmp_path / "a.npy", (DEPTH * 1000).astype(np.int32))
+    np.save(tmp_path / "b.npy", DEPTH * 1000)
+    for name in ("a.jpg", "b.jpg"):
+        found = FolderSource(tmp_path, scale=1000).predict(named(name), EVERYWHERE)
+        np.testing.assert_allclose(found.depth, DEPTH, rtol=1e-6)
+    with pytest.raises(InputError, match=r"a\.npy does not say"):
+        FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE)
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, float("nan"), float("inf")])
+def test_scale_must_be_a_number_of_steps(tmp_path: Path, scale: float) -> None:
+    with pytest.raises(InputError, match="must be finite and > 0"):
+        FolderSource(tmp_path, scale=scale)
+
+
+def test_disparity_has_no_unit_and_may_have_8_bits(tmp_path: Path) -> None:
+    values = np.array([[0, 3], [255, 8]], np.uint8)
+    Image.fromarray(values).save(tmp_path / "a.png")
+    found = FolderSource(tmp_path, kind="disparity").predict(named("a.jpg"), EVERYWHERE)
+    np.testing.assert_array_equal(found.depth, values)
+    assert found.relative
+    assert found.file == tmp_path / "a.png"
+    with pytest.raises(InputError, match="--predictions-kind disparity"):
+        FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE)
+
+
+def test_map_that_two_photos_would_share_is_nobodys(tmp_path: Path) -> None:
+    write_maps(tmp_path / "1.npy", Maps(depth=DEPTH))
+    source = FolderSource(tmp_path)
+    source.predict(named("a/1.jpg"), EVERYWHERE)
+    with pytest.raises(InputError, match=r"1\.npy would be the depth of two photos, a/1\.jpg and b/1\.jpg"):
+        source.predict(named("b/1.jpg"), EVERYWHERE)
+    other = FolderSource(tmp_path)
+    assert other.state("a/1.jpg")  # as if the score of the first were kept
+    with pytest.raises(InputError, match="two photos"):
+        other.predict(named("b/1.jpg"), EVERYWHERE)
+
+
+def test_settings_tell_a_folder_from_others_and_the_file_is_its_state(tmp_path: Path) -> None:
+    source = FolderSource(tmp_path, scale=256)
+    assert source.about == {"folder": str(tmp_path), "scale": 256, "kind": "depth"}
+    assert source.state("a.jpg") is None
     write_maps(tmp_path / "a.npy", Maps(depth=DEPTH))
-    found = FolderSource(tmp_path, scale=256).predict(named("a.jpg"), EVERYWHERE)
-    np.testing.assert_array_equal(found.depth, DEPTH)
-
-
-def test_folder_is_what_its_scores_depend_on(tmp_path: Path) -> None:
-    assert FolderSource(tmp_path).about == {"folder": str(tmp_path)}
+    before = source.state("a.jpg")
+    assert before is not None
+    write_maps(tmp_path / "a.npy", Maps(depth=2 * DEPTH))
+    assert source.state("a.jpg") != before
 
 
 def test_missing_file_is_an_error_that_names_photo_and_folder(tmp_path: Path) -> None:
@@ -351,7 +394,6 @@ def test_guesses_are_made_from_the_samples_of_the_domains_that_are_scored(tmp_pa
     streets = write_pairs(tmp_path / "streets", n=1, domain="outdoor")
     stills = write_disparity_pairs(tmp_path / "stills", n=1)
     protocols = {"indoor": EVERYWHERE}
-    lists = {str(path): list_fingerprint(str(path)) for path in (rooms, streets, stills)}
     found = trivial_sources([rooms, streets, stills], protocols)
     assert tuple(found) == TRIVIAL
     training = [PairDataset(rooms)[i] for i in range(3)]
@@ -360,7 +402,10 @@ def test_guesses_are_made_from_the_samples_of_the_domains_that_are_scored(tmp_pa
     for source, expected in zip(found.values(), (constant, mean_map), strict=True):
         ours, theirs = (each.predict(sample, EVERYWHERE).depth for each in (source, expected))
         np.testing.assert_array_equal(ours, theirs)
-        assert source.about == {"training": lists}
+        assert source.about == {"training": [str(path) for path in (rooms, streets, stills)]}
+        assert source.state("any.jpg") == expected.state("any.jpg")
+        others = [sample_of(np.full((4, 4), 2.0))]
+        assert source.state("any.jpg") != type(expected)(others, protocols).state("any.jpg")
         with pytest.raises(InputError, match="'outdoor'"):
             source.predict(photo((6, 8), domain="outdoor"), EVERYWHERE)
 
@@ -378,3 +423,30 @@ def test_prediction_comes_with_the_sample_it_is_scored_against(protocol: Protoco
         assert torch.equal(found.image, wanted.image)
     np.testing.assert_array_equal(prediction.depth, expected.target[0].numpy())
     assert prediction.depth.shape == ((352, 1216) if protocol.kitti_crop else (375, 1242))
+
+
+def file_of(folder: Path, depth: np.ndarray) -> FolderSource:
+    np.save(folder / "photo.npy", depth.astype(np.float32))
+    return FolderSource(folder)
+
+
+def test_file_of_the_whole_photo_is_cropped_as_the_photo(tmp_path: Path) -> None:
+    sample = photo((375, 1242), domain="outdoor")
+    cropped = kitti_crop()(sample, np.random.default_rng(0)).target[0].numpy()
+    for depth in (sample.target[0].numpy(), cropped):
+        prediction, _ = predict(file_of(tmp_path, depth), sample, OUTDOOR)
+        np.testing.assert_array_equal(prediction.depth, cropped)
+
+
+def test_file_of_another_size_cannot_be_cropped(tmp_path: Path) -> None:
+    sample = photo((375, 1242), domain="outdoor")
+    source = file_of(tmp_path, np.ones((192, 640)))
+    with pytest.raises(InputError, match=r"192 x 640 .*375 x 1242, or .*352 x 1216"):
+        predict(source, sample, OUTDOOR)
+    assert predict(source, sample, PLAIN)[0].depth.shape == (192, 640)
+
+
+def test_file_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"60 x 40, and photo\.jpg 40 x 60 .*turn one"):
+        predict(file_of(tmp_path, np.ones((60, 40))), photo((40, 60)), PLAIN)
+    assert predict(file_of(tmp_path, np.ones((40, 40))), photo((40, 40)), PLAIN)[0].depth.shape == (40, 40)

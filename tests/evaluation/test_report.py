@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import replace
+from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from zoedepth.data.sample import Sample
 from zoedepth.errors import MissingExtraError
 from zoedepth.evaluation import report
 from zoedepth.evaluation.dataset_scores import score_dataset
+from zoedepth.evaluation.out_folder import REPORTS
 from zoedepth.evaluation.protocols import OUTDOOR
 from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, write_picture, write_report
 from zoedepth.evaluation.summary import Summary, summarise
@@ -64,8 +66,8 @@ def written(summaries: list[Summary], tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_report_is_three_files_and_nothing_else(written: Path) -> None:
-    assert sorted(path.name for path in written.iterdir()) == ["report.json", "report.md", "report.tex"]
+def test_report_is_four_files_and_nothing_else(written: Path) -> None:
+    assert sorted(path.name for path in written.iterdir()) == sorted(REPORTS)
 
 
 def test_json_has_all_numbers_under_their_protocols(written: Path, summaries: list[Summary]) -> None:
@@ -108,6 +110,60 @@ def test_latex_has_all_tables(written: Path, summaries: list[Summary]) -> None:
     text = (written / "report.tex").read_text()
     assert all(table.latex() in text for table in report_tables(summaries, {}))
     assert text.count(r"\begin{table}") == 6
+
+
+class Page(HTMLParser):
+    """Collects the elements of a page, each with its attributes, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def test_page_has_the_tables_and_pictures_and_needs_nothing_from_elsewhere(written: Path) -> None:
+    text = (written / "report.html").read_text()
+    page = Page(text)
+    assert [tag for tag, _ in page.elements].count("table") == 6
+    assert [attributes["src"] for tag, attributes in page.elements if tag == "img"] == ["ours/examples.png"]
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in page.elements}
+    assert "http" not in text
+    assert "url(" not in text
+    assert "theirs: 0 images without a known pixel under the protocol, 1 that failed" in page.text
+
+
+def test_page_shows_names_and_command_as_they_are(tmp_path: Path) -> None:
+    found = [summary_of(source_of(1.0), "<script>a&b</script>", '"d', photos(1))]
+    pictures = {'"d': [('"<b>', tmp_path / "a b#" / "1?.png")]}
+    write_report(tmp_path, found, report_tables(found, {}), command="x < 'y' BODY", pictures=pictures)
+    page = Page((tmp_path / "report.html").read_text())
+    assert "<script>a&b</script>" in page.text
+    assert "x < 'y' BODY" in page.text
+    assert page.text.count("BODY") == 1
+    assert ("img", {"src": "a%20b%23/1%3F.png", "alt": '"<b>'}) in page.elements
+    assert "script" not in {tag for tag, _ in page.elements}
+    assert "(a%20b%23/1%3F.png)" in (tmp_path / "report.md").read_text()
+
+
+def test_letters_of_another_code_page_are_written_as_what_they_are(tmp_path: Path) -> None:
+    """As they come from a command line in the C locale, and bytes that are no text at all."""
+    label, broken = "zoé".encode().decode("ascii", "surrogateescape"), "\udcff"
+    found = [summary_of(source_of(1.0), label, broken, photos(1))]
+    write_report(tmp_path, found, report_tables(found, {}), command=f"zoedepth {label}", pictures={})
+    for name in ("report.md", "report.html", "report.tex"):
+        text = (tmp_path / name).read_text(encoding="utf-8")
+        assert "zoé" in text
+        assert "�" in text
+    values = json.loads((tmp_path / "report.json").read_text(encoding="ascii"))
+    assert values["command"] == "zoedepth zoé"
+    assert (values["results"][0]["source"], values["results"][0]["data"]) == ("zoé", "�")
 
 
 # ---------------------------------------------------------------------------------------------------- pictures
@@ -239,6 +295,16 @@ def test_plot_is_a_png_of_all_sources(summaries: list[Summary], tmp_path: Path) 
     assert one.shape == two.shape
     assert (one != two).any()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "two.png"]
+
+
+def test_equal_curves_are_both_seen(tmp_path: Path) -> None:
+    """The one that is drawn last does not hide the other."""
+    ours, other = (summary_of(source_of(1.25, 1.25), "ours", "rooms", photos(2)) for _ in range(2))
+    error_by_depth([ours, replace(other, source="theirs")], tmp_path / "two.png")
+    picture = np.asarray(Image.open(tmp_path / "two.png").convert("RGB")).astype(int)
+    top = picture[: picture.shape[0] // 2, : picture.shape[1] // 2]  # away from the legend
+    n_blue, n_orange = ((abs(top - color).sum(axis=-1) < 30).sum() for color in ((31, 119, 180), (255, 127, 14)))
+    assert n_blue > 0.5 * n_orange > 100
 
 
 def test_plot_of_nothing_scored_is_a_png_too(tmp_path: Path) -> None:

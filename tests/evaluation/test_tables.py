@@ -100,15 +100,24 @@ def test_aligned_source_says_so_and_is_not_compared() -> None:
     assert bold(table, "REL") == ["b"]
 
 
-def test_rows_of_the_paper_are_below_and_take_no_part_in_the_best() -> None:
-    paper = [("BTS", {"rel": Decimal("0.110"), "rmse": Decimal("0.392"), "delta1": None}), ("ZoeD-M12-N†", {})]
-    rows = [row_of("a", metrics_of(rel=0.2)), row_of("b", metrics_of(rel=0.3))]
-    table = results_table(rows, "nyu", paper=paper)
-    assert table.rows[2:] == (
-        ("BTS (paper)", "not run", "0.110", "0.392", "-", "-", "-", "-", "-", ""),
-        ("ZoeD-M12-N† (paper)", "not run", *["-"] * 7, ""),
-    )
+PAPER = [
+    ("BTS", {"rel": Decimal("0.250"), "rmse": Decimal("0.392"), "delta1": None}),
+    ("ZoeD-M12-N†", {}),
+    ("ZoeD-M12-N", {"rel": Decimal("0.075")}),
+    ("DORN", {"rel": Decimal("0.115")}),
+]
+
+
+def test_rows_of_the_paper_are_among_ours_by_rel_and_take_no_part_in_the_best() -> None:
+    rows = [row_of("b", metrics_of(rel=0.3)), row_of("a", metrics_of(rel=0.2)), row_of("none", None)]
+    table = results_table(rows, "nyu", paper=PAPER)
+    assert [row[0] for row in table.rows] == [
+        "ZoeD-M12-N (paper)", "DORN (paper)", "a", "BTS (paper)", "b", "none", "ZoeD-M12-N† (paper)",
+    ]  # fmt: skip
+    assert table.rows[3] == ("BTS (paper)", "not run", "0.250", "0.392", "-", "-", "-", "-", "-", "")
+    assert table.rows[6] == ("ZoeD-M12-N† (paper)", "not run", *["-"] * 7, "")
     assert bold(table, "REL") == ["a"]
+    assert bold(table, "SILog") == ["a", "b"]
     note = f"its own images under its protocol, nyu#{find_protocol('nyu').hash}; not run: by us, here."
     assert table.note.endswith(note)
     assert table.note in table.markdown()
@@ -116,10 +125,23 @@ def test_rows_of_the_paper_are_below_and_take_no_part_in_the_best() -> None:
     assert results_table(rows, "nyu").note == ""
 
 
-def test_model_of_the_paper_that_is_scored_here_is_not_called_not_run():
-    paper = [("ZoeD-M12-N", {"rel": Decimal("0.075")})]
-    table = results_table([row_of("zoed-m12-n", metrics_of(rel=0.2))], "nyu", paper=paper)
-    assert table.rows[1][:2] == ("ZoeD-M12-N (paper)", "")
+def test_sources_keep_their_order_without_the_paper_and_aligned_ones_are_last_with_it() -> None:
+    rows = [row_of("a", metrics_of(rel=0.1), alignment="median"), row_of("c", metrics_of(rel=0.3)),
+            row_of("b", metrics_of(rel=0.2))]  # fmt: skip
+    assert [row[0] for row in results_table(rows, "rooms").rows] == ["a (median-aligned)", "c", "b"]
+    with_paper = results_table(rows, "rooms", paper=PAPER[:1])
+    assert [row[0] for row in with_paper.rows] == ["b", "BTS (paper)", "c", "a (median-aligned)"]
+
+
+def test_best_of_the_paper_is_one_row_beside_those_of_the_sources() -> None:
+    table = results_table([row_of("dorn", metrics_of(rel=0.2))], "nyu", paper=PAPER, best_only=True)
+    assert [row[:2] for row in table.rows] == [
+        ("ZoeD-M12-N (paper)", "not run"),
+        ("DORN (paper)", ""),  # is run here
+        ("dorn", "1"),
+    ]
+    assert table.note.endswith("The paper has 4 rows: --with-paper all.")
+    assert "rows" not in results_table([], "nyu", paper=PAPER[:1], best_only=True).note
 
 
 # ---------------------------------------------------------------------------------------------------- other tables
@@ -189,6 +211,21 @@ def test_markdown_has_bold_best_and_escaped_bars() -> None:
         "| --- | ---: |\n"
         "| x\\|y_z #1 {50%} $\\~^ | **0.1** |\n"
         "| plain | 0.2 |\n"
+    )
+
+
+def test_html_has_bold_best_and_escaped_characters() -> None:
+    table = replace(AWKWARD, header=("<b>", "REL"), rows=(("x & <i>y", "0.1"), ("plain", "0.2")), note="a < b")
+    assert table.html() == (
+        '<div class="table"><table>\n'
+        "<caption>a_b: 100 % &amp; more</caption>\n"
+        "<thead><tr><th>&lt;b&gt;</th><th>REL</th></tr></thead>\n"
+        "<tbody>\n"
+        '<tr><td>x &amp; &lt;i&gt;y</td><td class="best">0.1</td></tr>\n'
+        "<tr><td>plain</td><td>0.2</td></tr>\n"
+        "</tbody>\n"
+        "</table></div>\n"
+        "<p>a &lt; b</p>\n"
     )
 
 

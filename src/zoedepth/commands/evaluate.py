@@ -1,12 +1,12 @@
 """``zoedepth evaluate --model MODEL --data NAME=CSV ... --out DIR``."""
 
-import json
+import os
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
@@ -16,32 +16,35 @@ from zoedepth.evaluation.protocols import Protocol, find_protocol
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
     from zoedepth.evaluation.evaluation_set import EvaluationSet
-    from zoedepth.evaluation.predictions import PredictionSource
+    from zoedepth.evaluation.predictions import FolderSource, Kind, PredictionSource
     from zoedepth.evaluation.summary import Summary
     from zoedepth.evaluation.tables import ReportTable
 
 
 def evaluate(
     *,
-    data: tuple[str, ...],
+    data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SOURCE...")],
     model: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = (),
-    predictions: tuple[str, ...] = (),
+    predictions: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER...")] = (),
+    predictions_scale: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SCALE...")] = (),
+    predictions_kind: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=KIND...")] = (),
     trivial: tuple[Path, ...] = (),
-    protocol: tuple[str, ...] = (),
+    protocol: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA=PROTOCOL...")] = (),
     crop: Literal["none", "eigen", "eigen-scaled", "garg"] | None = None,
     min_depth: float | None = None,
     max_depth: float | None = None,
     flip: bool = True,
-    pad: bool = False,
+    pad: Literal["protocol", "yes", "no"] = "protocol",
     resize: Literal["keep-aspect", "squeeze"] | None = None,
     mean: Literal["images", "pixels"] | None = None,
     align: Literal["none", "median", "disparity"] | None = None,
     compat: tuple[str, ...] = (),
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     pictures: bool = True,
-    with_paper: bool = False,
+    with_paper: Literal["best", "all"] | None = None,
     device: str = "auto",
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
@@ -50,14 +53,19 @@ def evaluate(
     A published data set in its official folder is scored under the paper's protocol. For other data the domain decides:
     indoor takes NYU's protocol (Eigen crop, 10 m), outdoor KITTI's (KB crop, then Garg crop, 80 m), any other domain
     has no crop. Every result carries the name and the hash of its protocol. Under torchrun the processes share the
-    images. To go on with an interrupted run that has --out, type the same command again.
+    images. To go on with an interrupted run that has --out, type the same command again; what has changed since, such
+    as weights or depth, is scored anew.
 
     Args:
         data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md), or the official folder
             of a published data set under its name: nyu=DIR.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or LABEL=any of them; give
             the option again for more models. With nothing to score it is zoed-lite.
-        predictions: NAME=FOLDER with somebody's depth maps (.png, .npy, .npz), found by the photos' names.
+        predictions: NAME=FOLDER with somebody's depth maps (.png, .npy, .npz ...), found by the photos' names.
+        predictions_scale: stored value of one metre in these maps, 1000 for millimetres or 256 for KITTI's, or
+            NAME=SCALE for one folder. It is needed for whole numbers that do not say it.
+        predictions_kind: depth, disparity, or NAME=KIND for one folder. disparity is inverse depth up to an unknown
+            scale and shift, as of MiDaS; it is scored with --align disparity.
         trivial: lists of training data; adds two guesses that never look at the photo: the best constant, and the mean
             depth map.
         protocol: name of a protocol for all data, or DATA=PROTOCOL; see zoedepth.evaluation.protocols.PROTOCOLS.
@@ -65,15 +73,16 @@ def evaluate(
         min_depth: nearest depth that is scored, metres.
         max_depth: farthest depth that is scored, metres; predictions are clipped to it.
         flip: average with the prediction for the mirror image.
-        pad: reflect the photo's borders outwards before the model.
+        pad: reflect the photo's borders outwards before the model; no published protocol does.
         resize: keep the photo's proportions, or squeeze it to the trained size (the paper).
         mean: average the metrics over images (the paper), or take them over all pixels.
         align: give the prediction something of the truth first. median: a factor. disparity: scale and shift of its
             inverse.
         compat: behaviours of the original code to take over: batch-vote, 10m.
-        out: folder for scores (JSONL), tables (Markdown, LaTeX, JSON), pictures and plots.
+        out: folder for scores (JSONL), tables (Markdown, HTML, LaTeX, JSON), pictures and plots.
         pictures: make the pictures and plots, too.
-        with_paper: print the paper's numbers on these data sets below ours.
+        with_paper: add the paper's numbers on these data sets, sorted by REL. best: its best, and those of the models
+            that are scored. all: all of them.
         device: cpu, cuda, mps, or auto for the best there is.
         json_: print one JSON object for each model and data set, and nothing else.
     """
@@ -81,16 +90,21 @@ def evaluate(
 
     from zoedepth.evaluation.evaluate import evaluate as score_all
     from zoedepth.evaluation.evaluation_set import open_evaluation_set
-    from zoedepth.evaluation.report import require_matplotlib
+    from zoedepth.evaluation.out_folder import check_folder
+    from zoedepth.evaluation.report import readable_json, require_matplotlib
 
     console = Console(stderr=True, highlight=False)
     pictures = pictures and out is not None
     if pictures:
         require_matplotlib()  # said before models are fetched
+    if out is not None:
+        check_folder(out)
+    folders = _folders(predictions, predictions_scale, predictions_kind)
+    align = _alignment(align, folders, alone=not (model or trivial))
     changes = {
         "crop": crop, "min_depth": min_depth, "max_depth": max_depth,
-        # All protocols average and none pads: only the other way is a change.
-        "flip_average": None if flip else False, "pad": pad or None,
+        # All protocols average: only the other way is a change.
+        "flip_average": None if flip else False, "pad": {"protocol": None, "yes": True, "no": False}[pad],
         "resize": resize, "mean": mean, "alignment": align,
     }  # fmt: skip
     changes = {name: value for name, value in changes.items() if value is not None}
@@ -101,37 +115,87 @@ def evaluate(
         for name, source in given.items()
     }
     found = score_all(
-        _sources(model, predictions, trivial, sets, compat=compat, device=device),
+        _sources(model, folders, trivial, sets, compat=compat, device=device),
         sets,
         folder=out,
         pictures=pictures,
         track=lambda indices, description: _track(console, indices, description),
         on_failure=lambda message: console.print(f"failed: {message}", soft_wrap=True, markup=False),
+        on_note=lambda message: console.print(f"note: {message}", soft_wrap=True, markup=False),
     )
     if found.processes.rank:
         return 0  # the first says how it went: torchrun ends all at the first that fails, and it has yet to report
     if json_:
         for summary in found.summaries:
-            print(json.dumps(_record(summary)))
+            print(readable_json(_record(summary)))
     else:
         _print_tables(found.tables(with_paper=with_paper))
     if out is not None:
         found.write_report(out, command=shlex.join(["zoedepth", *sys.argv[1:]]), with_paper=with_paper)
-        console.print(f"Report: {out / 'report.md'}, .tex, .json", soft_wrap=True)
+        console.print(f"Report: {out / 'report.md'}, .html, .tex, .json", soft_wrap=True)
     return 0 if found.complete else 1
 
 
 def _protocols(wanted: Sequence[str], names: Sequence[str]) -> dict[str, Protocol | None]:
     """Return, for each data set, the protocol given for it, else the one given for all, else None."""
-    given = {data: find_protocol(value) for data, _, value in (entry.rpartition("=") for entry in wanted)}
+    return _by_name("--protocol", wanted, names, find_protocol)
+
+
+Value = TypeVar("Value")
+
+
+def _by_name(
+    option: str, wanted: Sequence[str], names: Sequence[str], read: Callable[[str], Value]
+) -> dict[str, Value | None]:
+    """Return, for each name, its value in an option of VALUE or NAME=VALUE; else the one for all, else None."""
+    given = {name: read(value) for name, _, value in (entry.rpartition("=") for entry in wanted)}
     if unknown := sorted(given.keys() - {*names, ""}):
-        raise InputError(f"--protocol is given for {unknown}, but the data is {sorted(names)}: use one of these names")
-    return {name: given.get(name) or given.get("") for name in names}
+        raise InputError(f"{option} is given for {unknown}, but the names are {sorted(names)}: use one of these")
+    if wanted and not names:
+        raise InputError(f"{option} is given without --predictions: add them")
+    return {name: given.get(name, given.get("")) for name in names}
+
+
+def _scale(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"--predictions-scale must be a number, such as 1000 for millimetres, or NAME=NUMBER; it is {text!r}"
+        ) from None
+
+
+def _kind(text: str) -> "Kind":
+    if text not in ("depth", "disparity"):
+        raise InputError(f"--predictions-kind must be depth or disparity, or NAME=KIND; it is {text!r}")
+    return text
+
+
+def _folders(predictions: Sequence[str], scales: Sequence[str], kinds: Sequence[str]) -> "dict[str, FolderSource]":
+    """Open the folders of depth maps, by their labels."""
+    from zoedepth.evaluation.predictions import FolderSource
+
+    found = named_paths(tuple(predictions))
+    scale = _by_name("--predictions-scale", scales, list(found), _scale)
+    kind = _by_name("--predictions-kind", kinds, list(found), _kind)
+    return {label: FolderSource(folder, scale=scale[label], kind=kind[label]) for label, folder in found.items()}
+
+
+def _alignment(
+    align: Literal["none", "median", "disparity"] | None, folders: "Mapping[str, FolderSource]", *, alone: bool
+) -> Literal["none", "median", "disparity"] | None:
+    """Return the alignment: that of disparity follows from its kind where nothing else is scored."""
+    relative = [label for label, source in folders.items() if source.kind == "disparity"]
+    if align is not None or not relative:
+        return align
+    if not alone or len(relative) < len(folders):
+        raise InputError(f"{relative[0]} has no metres: add --align disparity, which then holds for all that is scored")
+    return "disparity"
 
 
 def _sources(
     models: Sequence[str],
-    predictions: Sequence[str],
+    folders: "Mapping[str, FolderSource]",
     trivial: Sequence[Path],
     sets: "Mapping[str, EvaluationSet]",
     *,
@@ -140,12 +204,11 @@ def _sources(
 ) -> "dict[str, PredictionSource]":
     """Open everything that is to be scored, by its label."""
     from zoedepth.commands.progress import download_progress
-    from zoedepth.evaluation.predictions import TRIVIAL, FolderSource, ModelSource, trivial_sources
+    from zoedepth.evaluation.predictions import TRIVIAL, ModelSource, trivial_sources
 
-    if not (models or predictions or trivial):
+    if not (models or folders or trivial):
         models = ("zoed-lite",)
     names = [(label, value if equals else label) for label, equals, value in (each.partition("=") for each in models)]
-    folders = named_paths(tuple(predictions))
     labels = [*(label for label, _ in names), *folders, *(TRIVIAL if trivial else ())]
     for label in labels:
         if labels.count(label) > 1:
@@ -154,8 +217,7 @@ def _sources(
     for label, name in names:
         with download_progress() as progress:
             found[label] = ModelSource.load(name, compat=compat, device=device, progress=progress)
-    for label, folder in folders.items():
-        found[label] = FolderSource(folder)
+    found |= folders
     if trivial:
         by_domain = {domain: protocol for each in sets.values() for domain, protocol in each.protocols.items()}
         found |= trivial_sources(trivial, by_domain)
@@ -170,12 +232,17 @@ def _track(console: "Console", indices: list[int], description: str) -> Iterable
 
 def _record(summary: "Summary") -> dict:
     """Return the short form for --json; everything is in report.json."""
+    from zoedepth.evaluation.uncertainty import UncertaintyScores
+
     metrics = {} if summary.metrics is None else asdict(summary.metrics)
+    uncertainty = {field.name: summary.uncertainty.get(field.name) for field in fields(UncertaintyScores)}
     return {
         "source": summary.source,
         "data": summary.data,
         "protocols": summary.protocols,
         **metrics,
+        "boundary_f1": summary.boundary_f1,
+        **uncertainty,
         "images": summary.n_scored,
         "without_truth": summary.n_images - summary.n_scored,
         "failed": summary.n_failed,
@@ -186,14 +253,49 @@ def _record(summary: "Summary") -> dict:
 
 def _print_tables(tables: "Sequence[ReportTable]") -> None:
     from rich.console import Console
+
+    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 150)
+    for table in tables:
+        _print_table(console, table)
+        if table.note:
+            console.print(table.note, markup=False, highlight=False)
+
+
+def _print_table(console: "Console", table: "ReportTable") -> None:
+    """Print a table, or a block for each of its rows where it is too wide: no name and no number is cut."""
+    from rich.measure import Measurement
     from rich.table import Table
     from rich.text import Text
 
-    console = Console(file=sys.stdout, width=None if sys.stdout.isatty() else 150)
-    for table in tables:
-        shown = Table(*table.header, title=Text(table.title), title_justify="left")
-        for i, row in enumerate(table.rows):
-            shown.add_row(*(Text(cell, "bold" if (i, j) in table.best else "") for j, cell in enumerate(row)))
+    shown = Table(title=Text(table.title), title_justify="left")
+    for heading in table.header:
+        shown.add_column(heading, no_wrap=True)
+    rows = [[Text(cell, "bold" if (i, j) in table.best else "") for j, cell in enumerate(row)]
+            for i, row in enumerate(table.rows)]  # fmt: skip
+    for row in rows:
+        shown.add_row(*row)
+    unbounded = console.options.update_width(10_000)
+    if Measurement.get(console, unbounded, shown).maximum <= console.width:
         console.print(shown)
-        if table.note:
-            console.print(Text(table.note))
+        return
+    console.print(Text(table.title, "italic"))
+    for row in rows:
+        console.print(row[0], soft_wrap=True)
+        pairs = [Text(f"{heading} ").append_text(cell).append("  ")
+                 for heading, cell in zip(table.header[1:], row[1:], strict=True) if cell.plain]  # fmt: skip
+        for line in _lines(pairs, console.width - 2):
+            line.rstrip()
+            console.print(Text("  ").append_text(line))
+
+
+def _lines(words: "Sequence[Text]", width: int) -> "Iterator[Text]":
+    """Set words in lines of this width, without breaking any."""
+    from rich.text import Text
+
+    line = Text()
+    for word in words:
+        if line and len(line) + len(word.plain.rstrip()) > width:
+            yield line
+            line = Text()
+        line.append_text(word)
+    yield line

@@ -1,16 +1,16 @@
 """Score one source on one data set: a line of JSON for each image, resumable, alone or among processes."""
 
-import json
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TextIO
 
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
-from zoedepth.evaluation.predictions import PredictionSource, prepare
+from zoedepth.evaluation.identity import Stamps
+from zoedepth.evaluation.predictions import PredictionSource, predict, prepare
 from zoedepth.evaluation.protocols import Protocol
+from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score, score
 
 
@@ -35,6 +35,35 @@ class DatasetScores:
     """Number of the image in the data set → its score, in the order of the data set. Images that failed have none."""
     failures: list[str] = field(default_factory=list)
     """One message for each image that could not be read or predicted."""
+    n_stale: int = 0
+    """Number of kept scores that no longer held, because something they depended on has changed."""
+
+
+def score_files(
+    source: PredictionSource,
+    data: Samples,
+    protocols: Mapping[str, Protocol],
+    folder: Path,
+    *,
+    about: Mapping[str, object] | None = None,
+    state: Mapping[str, object] | None = None,
+) -> ScoreFiles:
+    """Open the files of scores in a folder.
+
+    Args:
+        source: see ``score_dataset``, as for the others.
+        data: photos with depth.
+        protocols: domain → protocol.
+        folder: where the scores are kept.
+        about: facts that say which question the scores answer. A folder with other facts is refused.
+        state: facts that may change under the same names, such as a hash of settings. Scores made in another state are
+            made anew.
+
+    Raises:
+        InputError: the folder holds the scores of something else.
+    """
+    labels = {domain: protocol.label for domain, protocol in sorted(protocols.items())}
+    return ScoreFiles(folder, {"about": dict(about or {}), "protocols": labels}, Stamps(source, data, state or {}))
 
 
 def score_dataset(
@@ -42,56 +71,43 @@ def score_dataset(
     data: Samples,
     protocols: Mapping[str, Protocol],
     *,
-    folder: Path | None = None,
-    about: Mapping[str, object] | None = None,
+    files: ScoreFiles | None = None,
     processes: Processes | None = None,
     track: Callable[[list[int]], Iterable[int]] = iter,
 ) -> DatasetScores:
-    """Score image by image, except those whose score stands in the folder already.
+    """Score image by image, except those whose score is kept and still holds.
 
     Args:
         source: predicts each photo.
         data: photos with depth.
         protocols: domain → protocol, for every domain that occurs.
-        folder: where the scores are kept, a line of JSON each, written one by one; None keeps none.
-        about: facts that the scores belong to, beside the protocols. A folder is used again only if they are the same.
+        files: where the scores are kept, a line of JSON each, written one by one; None keeps none.
         processes: if there are several, this one scores its share; the result then has all that was written so far.
         track: receives the numbers of the images to score and yields them, to show progress.
 
     Raises:
-        InputError: the folder holds the scores of something else.
+        InputError: the scores cannot be written.
     """
     processes = processes or Processes()
-    header = {
-        "about": dict(about or {}),
-        "protocols": {domain: protocol.label for domain, protocol in sorted(protocols.items())},
-        "images": len(data),
-    }
-    done, file = {}, None
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        done = _read(folder, header)
-        file = _append_to(folder / f"scores-{processes.rank}-of-{processes.count}.jsonl", header)
+    done: dict[int, Score] = {}
+    if files is not None:
+        done = files.read()
+        files.open(processes.rank, processes.count)
     failures = []
     try:
         for index in track([i for i in range(processes.rank, len(data), processes.count) if i not in done]):
+            before = None if files is None else files.stamps.of_data(index)  # before anything is read
             try:
                 done[index] = _score_one(source, data[index], protocols)
             except InputError as error:
                 failures.append(f"image {index}: {error}")
                 continue
-            if file is not None:
-                file.write(json.dumps({"index": index, **done[index].to_json()}) + "\n")
-                file.flush()
+            if files is not None and before is not None:
+                files.add(index, done[index], before)
     finally:
-        if file is not None:
-            file.close()
-    return DatasetScores(dict(sorted(done.items())), failures)
-
-
-def read_scores(folder: Path) -> dict[int, Score]:
-    """Read all scores that processes have written into a folder, as ``DatasetScores.scores``."""
-    return dict(sorted(_read(folder, None).items()))
+        if files is not None:
+            files.close()
+    return DatasetScores(dict(sorted(done.items())), failures, 0 if files is None else files.n_stale)
 
 
 def _score_one(source: PredictionSource, sample: Sample, protocols: Mapping[str, Protocol]) -> Score:
@@ -106,43 +122,5 @@ def _score_one(source: PredictionSource, sample: Sample, protocols: Mapping[str,
     known = shown.mask if protocol.use_mask else shown.target > 0
     if not known.any():
         return Score(sample.name, sample.domain, None, None)
-    return score(source.predict(shown, protocol), shown, protocol)
-
-
-def _append_to(path: Path, header: dict) -> TextIO:
-    written = path.read_bytes() if path.exists() else b""
-    if b"\n" not in written:  # a new file, or one whose process was killed while it wrote the first line
-        file = path.open("w", encoding="utf-8")
-        file.write(json.dumps(header) + "\n")
-    else:
-        file = path.open("a", encoding="utf-8")
-        if not written.endswith(b"\n"):
-            file.write("\n")  # ends the line that a killed process left
-    file.flush()
-    return file
-
-
-def _read(folder: Path, header: dict | None) -> dict[int, Score]:
-    """Read the scores in a folder by the number of their image; a half-written line is left out."""
-    done: dict[int, Score] = {}
-    for path in sorted(folder.glob("scores-*-of-*.jsonl")):
-        first, *lines = path.read_text(encoding="utf-8").split("\n")
-        if not lines:  # another process has just begun this file, or was killed then
-            continue
-        if header is not None and _parse(first) != json.loads(json.dumps(header)):
-            raise InputError(
-                f"{path} holds scores of another model, data set or protocol: give another --out, or remove it. "
-                f"There: {first[:300]}"
-            )
-        for line in lines:
-            if (record := _parse(line)) is not None:
-                index = record.pop("index")
-                done[index] = Score.from_json(record)
-    return done
-
-
-def _parse(line: str) -> dict | None:
-    try:
-        return json.loads(line)
-    except ValueError:
-        return None
+    prediction, shown = predict(source, sample, protocol)
+    return score(prediction, shown, protocol)

@@ -4,16 +4,22 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from zoedepth.errors import InputError
-from zoedepth.evaluation.dataset_scores import Processes, read_scores, score_dataset
+from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
 from zoedepth.evaluation.evaluation_set import EvaluationSet
+from zoedepth.evaluation.out_folder import REPORTS, check_folder
 from zoedepth.evaluation.paper_numbers import method_rows
-from zoedepth.evaluation.predictions import PredictionSource
+from zoedepth.evaluation.plausible import check_predictions
+from zoedepth.evaluation.predictions import FolderSource, PredictionSource
 from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, write_picture, write_report
+from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score
 from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.evaluation.tables import ReportTable, report_tables
+
+_N_DOUBTED = 16  # photos that are looked at for one with a prediction
 
 
 @dataclass(frozen=True)
@@ -34,17 +40,21 @@ class Evaluation:
         """True where no image failed and every data set had a pixel to score."""
         return all(not summary.n_failed and summary.metrics is not None for summary in self.summaries)
 
-    def tables(self, *, with_paper: bool = False) -> list[ReportTable]:
+    def tables(self, *, with_paper: Literal["best", "all"] | None = None) -> list[ReportTable]:
         """Set the numbers in tables: for each data set the metrics, further measures, and REL by true depth.
 
         Args:
-            with_paper: below the metrics, add the rows that the paper has on a data set of this name.
+            with_paper: add rows that the paper has on a data set of this name, and sort all by REL. best: its best
+                row, and those of the models that are scored here. all: every row.
         """
         names = {summary.data for summary in self.summaries}
-        return report_tables(self.summaries, {name: method_rows(name) for name in names} if with_paper else {})
+        paper = {name: method_rows(name) for name in names} if with_paper else {}
+        return report_tables(self.summaries, paper, best_only=with_paper == "best")
 
-    def write_report(self, folder: Path, *, command: str = "", with_paper: bool = False) -> None:
-        """Write ``report.md``, ``report.tex`` and ``report.json``, each whole or not at all.
+    def write_report(
+        self, folder: Path, *, command: str = "", with_paper: Literal["best", "all"] | None = None
+    ) -> None:
+        """Write ``report.md``, ``report.html``, ``report.tex`` and ``report.json``, each whole or not at all.
 
         If several processes share the work, only the first writes.
 
@@ -66,11 +76,13 @@ def evaluate(
     pictures: bool = False,
     track: Callable[[list[int], str], Iterable[int]] | None = None,
     on_failure: Callable[[str], None] | None = None,
+    on_note: Callable[[str], None] | None = None,
 ) -> Evaluation:
     """Score every source on every data set.
 
     With a folder, each score is written as soon as it is there, and the same call goes on where it was interrupted.
-    Under ``torchrun`` the processes share the images and meet in the folder; the numbers are the same to the last bit.
+    Scores that depend on something that has changed since (weights, photos, depth, settings) are made anew. Under
+    ``torchrun`` the processes share the images and meet in the folder; the numbers are the same to the last bit.
 
     Args:
         sources: label → what predicts: models, folders of depth maps, or your own class with ``predict``.
@@ -80,9 +92,11 @@ def evaluate(
         track: receives the numbers of the images to score and a description, and yields the numbers, to show progress.
         on_failure: receives a message for each image that fails and each data set that has no pixel to score. The
             others are scored nevertheless.
+        on_note: receives a sentence about what is odd, and about scores that are made anew.
 
     Raises:
-        InputError: the folder holds the scores of something else; or pictures or several processes without a folder.
+        InputError: the folder cannot be written to, or holds something else; the depth maps of a ``FolderSource`` are
+            not what they are taken for; or pictures or several processes without a folder.
         MissingExtraError: pictures without matplotlib.
     """
     processes = _meet_others(folder)
@@ -90,6 +104,10 @@ def evaluate(
         raise InputError("pictures need a folder to be written to: give one, or pictures=False")
     if pictures:
         require_matplotlib()
+    if folder is not None and processes.rank == 0:
+        plots = [_plot_name(name) for name in data] if pictures else []
+        check_folder(folder, [*REPORTS, *plots])
+    kept = _open_scores(sources, data, folder)
     summaries: list[Summary] = []
     failures: list[str] = []
     shown: dict[str, list[tuple[str, Path]]] = {}
@@ -99,35 +117,47 @@ def evaluate(
         if on_failure is not None:
             on_failure(message)
 
+    def note(message: str) -> None:
+        if on_note is not None and processes.rank == 0:
+            on_note(message)
+
+    for source in sources.values():
+        for each in data.values():
+            if isinstance(source, FolderSource) and (odd := _doubt(source, each)):
+                note(odd)
     for name, each in data.items():
         for label, source in sources.items():
-            place = None if folder is None else folder / folder_name(label) / folder_name(name)
+            files = kept.get((label, name))
             found = score_dataset(
                 source,
                 each.dataset,
                 each.protocols,
-                folder=place,
-                about={"source": label, **getattr(source, "about", {}), **each.about},
+                files=files,
                 processes=processes,
                 track=partial(_track, track, f"{label} on {name}"),
             )
+            if found.n_stale:
+                note(
+                    f"{label} on {name}: {found.n_stale} images are scored anew, because weights, photos, depth or "
+                    "settings have changed since"
+                )
             for failure in found.failures:
                 fail(f"{name}, {failure}")
-            scores = _scores_of_all(found.scores, place, processes)
+            scores = _scores_of_all(found.scores, files, processes)
             n_failed = len(each.dataset) - len(scores)
             summary = summarise(label, name, list(scores.values()), each.protocols, n_failed=n_failed)
             summaries.append(summary)
             if processes.rank == 0 and scores and summary.metrics is None:
                 fail(f"{name}: no image has a known pixel under its protocol")
-            if processes.rank == 0 and pictures and place is not None:
+            if processes.rank == 0 and pictures and files is not None:
                 sheet = examples(source, each.dataset, scores, each.protocols)
                 if sheet is not None:
-                    write_picture(place / "examples.png", sheet)
+                    write_picture(files.folder / "examples.png", sheet)
                     caption = f"{label}: best, median and worst image by REL"
-                    shown.setdefault(name, []).append((caption, place / "examples.png"))
+                    shown.setdefault(name, []).append((caption, files.folder / "examples.png"))
     if processes.rank == 0 and pictures and folder is not None:
         for name in dict.fromkeys(summary.data for summary in summaries):
-            path = folder / f"{folder_name(name)}-error-by-depth.png"
+            path = folder / _plot_name(name)
             error_by_depth([summary for summary in summaries if summary.data == name], path)
             shown.setdefault(name, []).insert(0, (f"{name}: REL by true depth", path))
     return Evaluation(summaries, failures, shown, processes)
@@ -136,6 +166,10 @@ def evaluate(
 def folder_name(text: str) -> str:
     """Turn a label or the name of a data set into the name of its folder: letters, digits, "-", "_" and "."."""
     return "".join(c if c.isalnum() or c in "-_." else "-" for c in text).strip("-.") or "model"
+
+
+def _plot_name(data: str) -> str:
+    return f"{folder_name(data)}-error-by-depth.png"
 
 
 def _track(
@@ -157,11 +191,47 @@ def _meet_others(folder: Path | None) -> Processes:
     return processes
 
 
-def _scores_of_all(scores: dict[int, Score], folder: Path | None, processes: Processes) -> dict[int, Score]:
+def _open_scores(
+    sources: Mapping[str, PredictionSource], data: Mapping[str, EvaluationSet], folder: Path | None
+) -> dict[tuple[str, str], ScoreFiles]:
+    """Open all files of scores, by source and data set, so that one that is refused is refused before the work."""
+    if folder is None:
+        return {}
+    for names in (sources, data):
+        places = [folder_name(name).casefold() for name in names]
+        if twice := [name for name, place in zip(names, places, strict=True) if places.count(place) > 1]:
+            raise InputError(f"{twice} would share a folder of scores: give one of them another name, NAME=...")
+    return {
+        (label, name): score_files(
+            source,
+            each.dataset,
+            each.protocols,
+            folder / folder_name(label) / folder_name(name),
+            about={"source": label, **getattr(source, "about", {}), **each.about},
+            state=each.state,
+        )
+        for name, each in data.items()
+        for label, source in sources.items()
+    }
+
+
+def _doubt(source: FolderSource, data: EvaluationSet) -> str | None:
+    """Look at the first photo that has a prediction and known depth, and ask whether the prediction can be right."""
+    for index in range(min(len(data.dataset), _N_DOUBTED)):
+        try:
+            sample = data.dataset[index]
+        except InputError:
+            continue  # it will fail, and say why
+        if sample.domain in data.protocols and sample.mask.any() and source.find(sample.name):
+            return check_predictions(source, sample, data.protocols[sample.domain])
+    return None
+
+
+def _scores_of_all(scores: dict[int, Score], files: ScoreFiles | None, processes: Processes) -> dict[int, Score]:
     """Wait for the other processes, then return the scores of all, in the order of the data set."""
-    if processes.count == 1 or folder is None:
+    if processes.count == 1 or files is None:
         return scores
     import torch.distributed as distributed
 
     distributed.barrier()
-    return read_scores(folder)
+    return files.read()

@@ -8,7 +8,7 @@ from typing import Any
 from zoedepth.data.sample import DepthDataset
 from zoedepth.datasets.published import PublishedDataset
 from zoedepth.errors import InputError
-from zoedepth.evaluation.identity import list_fingerprint
+from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.evaluation.protocols import PROTOCOLS, Protocol, protocol_of
 from zoedepth.opening import open_dataset
 
@@ -21,7 +21,10 @@ class EvaluationSet:
     protocols: Mapping[str, Protocol]
     """Domain → protocol, for every domain that occurs."""
     about: Mapping[str, object] = field(default_factory=dict)
-    """Facts that scores on this set depend on, e.g. a hash of its list; see ``PredictionSource``."""
+    """Facts that tell it from others, e.g. where it is; a folder with scores of another set is refused."""
+    state: Mapping[str, object] = field(default_factory=dict)
+    """Facts that may change under the same name, e.g. a hash of its settings; scores are then made anew. What is said
+    of the files of lists, folders, shards and published sets need not be said here."""
 
 
 def open_evaluation_set(
@@ -52,5 +55,6 @@ def open_evaluation_set(
     return EvaluationSet(
         dataset,
         {domain: replace(each, **(changes or {})) for domain, each in chosen.items()},
-        {"data": str(source), "list": list_fingerprint(str(source))},
+        {"data": str(source)},
+        {"settings": settings_fingerprint(str(source))},
     )

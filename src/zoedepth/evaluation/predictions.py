@@ -1,8 +1,10 @@
 """Sources of predictions: a model, a folder of somebody's depth maps, or a guess that never looks at the photo."""
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, TypeVar, runtime_checkable
+from typing import Literal, NamedTuple, TypeVar, runtime_checkable
 from typing import Protocol as Interface
 
 import numpy as np
@@ -14,14 +16,17 @@ from zoedepth.data.augment import kitti_crop
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.download import Progress
 from zoedepth.errors import InputError
-from zoedepth.evaluation.identity import list_fingerprint, weights_fingerprint
+from zoedepth.evaluation.identity import files_state, fingerprint, weights_fingerprint
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.images import DepthArray, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
-from zoedepth.stored import read_depth
+from zoedepth.stored import DEPTH_SUFFIXES, read_stored
 from zoedepth.weights.load import find, load_model
+
+# The usual ones first; DEPTH_SUFFIXES has all that can be read.
+_SUFFIXES = tuple(dict.fromkeys((".png", ".npy", ".npz", *DEPTH_SUFFIXES)))
 
 
 class Prediction(NamedTuple):
@@ -39,14 +44,22 @@ class Prediction(NamedTuple):
     """Domain of the head that was chosen, where there was a choice."""
     relative: bool = False
     """True where the depth is inverse, up to an unknown scale and shift."""
+    file: Path | None = None
+    """The file that it was read from, if it was."""
+
+
+Kind = Literal["depth", "disparity"]
+"""depth: metres, or whole numbers with a scale. disparity: inverse depth up to an unknown scale and shift."""
 
 
 @runtime_checkable
 class PredictionSource(Interface):
     """Anything that predicts the depth of a photo.
 
-    A source may have an attribute ``about``: a dict of the facts that its scores depend on, such as a hash of the
-    weights. It is stored beside the scores, and an interrupted evaluation goes on only where it is the same.
+    A source may have an attribute ``about``: a dict of facts that tell it from others, such as its settings. It is
+    stored with the scores, and a folder with other facts is refused. It may have a method ``state`` that is given the
+    name of a photo, as its data set lists it, and returns plain values that change when its prediction may, such as a
+    hash of the weights: scores that were made in another state are made anew.
     """
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
@@ -59,12 +72,16 @@ class ModelSource:
 
     Args:
         model: in evaluation mode, with or without metric heads.
-        about: facts that its scores depend on; see ``PredictionSource``.
+        about: facts that tell it from others; see ``PredictionSource``.
+        weights: a hash of its weights; scores that were made with others are made anew.
     """
 
-    def __init__(self, model: DepthModel, *, about: Mapping[str, object] | None = None) -> None:
+    def __init__(
+        self, model: DepthModel, *, about: Mapping[str, object] | None = None, weights: str | None = None
+    ) -> None:
         self.model = model
         self.about = dict(about or {})
+        self.weights = weights
 
     @classmethod
     def load(
@@ -82,7 +99,12 @@ class ModelSource:
             InputError: there is no such model, behaviour or device.
         """
         model = Predictor(load_model(name, compat=tuple(compat), progress=progress), device=device).model
-        return cls(model, about={"weights": weights_fingerprint(find(name)), "compat": list(compat)})
+        about = {"model": str(name), "compat": list(compat)}
+        return cls(model, about=about, weights=weights_fingerprint(find(name)))
+
+    def state(self, name: str) -> str | None:
+        """Return the hash of the weights, whatever the photo."""
+        return self.weights
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """Predict depth at the photo's size; relative depth where the model has no metric heads."""
@@ -101,40 +123,96 @@ class ModelSource:
 
 
 class FolderSource:
-    """A folder of depth maps: ``name.png`` (16 bits), ``.npy`` or ``.npz``, all in one place or in the photos' tree.
+    """A folder of depth maps, all in one place or in the photos' tree: ``name.png``, ``.npy``, ``.npz`` and others.
 
     A depth map is found by the photo's path as its list has it, or by its file name alone, each with or without
     ``_depth`` at the end. One of another size than the true depth is resized bilinearly.
 
     Args:
         folder: where the depth maps are.
-        scale: PNG levels per metre, for all PNGs of the folder; None takes what each file says.
+        scale: stored value of one metre, for all files of the folder. None takes what each PNG says, and floating point
+            for metres.
+        kind: whether the maps are depth, or disparity (inverse depth up to an unknown scale and shift), as MiDaS and
+            its successors write them. None is depth, too, but lets ``plausible.check_predictions`` doubt it.
 
     Raises:
-        InputError: the folder does not exist.
+        InputError: the folder does not exist, or the scale is not positive.
     """
 
-    def __init__(self, folder: Path, *, scale: float | None = None) -> None:
+    def __init__(self, folder: Path, *, scale: float | None = None, kind: Kind | None = None) -> None:
         if not folder.is_dir():
             raise InputError(f"there is no folder {folder} with predictions: give the folder that holds the depth maps")
+        if scale is not None and not 0 < scale < math.inf:
+            raise InputError(
+                f"the scale of {folder} must be finite and > 0, the stored value of one metre; it is {scale}"
+            )
         self.folder = folder
         self.scale = scale
-        self.about: dict[str, object] = {"folder": str(folder)}
+        self.kind = kind
+        self.about: dict[str, object] = {"folder": str(folder), "scale": scale, "kind": kind or "depth"}
+        self._photos: dict[Path, str] = {}
+
+    def state(self, name: str) -> object:
+        """Return name, size and times of the file of a photo."""
+        path = self.find(name)
+        return path and files_state([path])
+
+    def find(self, name: str) -> Path | None:
+        """Return the file of a photo; None where there is none."""
+        stem = Path(name).with_suffix("")
+        names = [stem, Path(stem.name), stem.with_name(f"{stem.name}_depth"), Path(f"{stem.name}_depth")]
+        paths = (self.folder / f"{found}{suffix}" for found in names for suffix in _SUFFIXES)
+        path = next((path for path in paths if path.is_file()), None)
+        if path is not None:
+            self._photos.setdefault(path, name)
+        return path
+
+    def unit(self, name: str) -> float | None:
+        """Return the stored value of one metre in the file of a photo; None where nobody says it.
+
+        Raises:
+            InputError: the file cannot be read, or has 8 bits a pixel.
+        """
+        return self._read(name)[2]
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """Read the depth map of this photo.
 
         Raises:
-            InputError: there is none, or it is damaged.
+            InputError: there is none, it is damaged, nobody says its scale, or it is another photo's already.
         """
-        stem = Path(sample.name).with_suffix("")
-        names = [stem, Path(stem.name), stem.with_name(f"{stem.name}_depth"), Path(f"{stem.name}_depth")]
-        for name in names:
-            for suffix in (".png", ".npy", ".npz"):
-                path = self.folder / f"{name}{suffix}"
-                if path.is_file():
-                    return Prediction(read_depth(path, scale=self.scale))
-        raise InputError(f"{self.folder} has no depth of {sample.name}: add {names[0]}.png, .npy or .npz to it")
+        path, values, scale = self._read(sample.name)
+        if self.kind == "disparity":
+            return Prediction(values, relative=True, file=path)
+        if scale is None and protocol.alignment != "none":
+            scale = 1.0  # the alignment finds it
+        if scale is None:
+            raise InputError(
+                f"{path} does not say how many of its steps are one metre: give --predictions-scale (from Python: "
+                "scale), 1000 for millimetres, or 256 for KITTI's and the original's maps"
+            )
+        return Prediction(values / np.float32(scale), file=path)
+
+    def _read(self, name: str) -> tuple[Path, DepthArray, float | None]:
+        """Read a photo's file, its values and the stored value of one metre."""
+        path = self.find(name)
+        if path is None:
+            raise InputError(
+                f"{self.folder} has no depth of {name}: add {Path(name).with_suffix('')}.png, .npy or .npz to it"
+            )
+        if (other := self._photos[path]) != name:
+            raise InputError(
+                f"{path} would be the depth of two photos, {other} and {name}: put the depth maps into folders like "
+                "those of the photos"
+            )
+        stored = read_stored(path)
+        if stored.values.dtype.itemsize < 2 and self.kind != "disparity":
+            raise InputError(
+                f"{path} has 8 bits a pixel: it is a picture of depth. Give 16 bits or floating point; if it is "
+                "inverse depth, add --predictions-kind disparity"
+            )
+        in_metres = 1.0 if stored.values.dtype.kind == "f" else None
+        return path, stored.values.astype(np.float32), self.scale or stored.scale or in_metres
 
 
 class ConstantSource:
@@ -143,7 +221,7 @@ class ConstantSource:
     Args:
         training: samples whose depth is read, each in a domain of ``protocols``.
         protocols: domain → protocol, which crops the samples and limits the depth.
-        about: facts that its scores depend on; see ``PredictionSource``.
+        about: facts that tell it from others; see ``PredictionSource``.
 
     Raises:
         InputError: a domain has no known depth.
@@ -165,6 +243,10 @@ class ConstantSource:
         self.depth = {domain: _least_rel(np.concatenate(found), domain) for domain, found in values.items()}
         self.about = dict(about or {})
 
+    def state(self, name: str) -> str:
+        """Return a hash of the constants."""
+        return fingerprint(self.depth)
+
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """Return the domain's constant at every pixel.
 
@@ -181,7 +263,7 @@ class MeanMapSource:
     Args:
         training: samples whose depth is read, each in a domain of ``protocols``.
         protocols: domain → protocol, which crops the samples and limits the depth.
-        about: facts that its scores depend on; see ``PredictionSource``.
+        about: facts that tell it from others; see ``PredictionSource``.
 
     Raises:
         InputError: a domain has no known depth.
@@ -209,6 +291,11 @@ class MeanMapSource:
             count[sample.domain] = count.get(sample.domain, np.zeros(self.SIZE)) + known
         self.depth = {domain: _filled(total[domain], count[domain], domain) for domain in total}
         self.about = dict(about or {})
+        self._state = fingerprint({domain: depth.tobytes().hex() for domain, depth in self.depth.items()})
+
+    def state(self, name: str) -> str:
+        """Return a hash of the maps."""
+        return self._state
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """Return the domain's mean map at the size of the true depth.
@@ -220,6 +307,8 @@ class MeanMapSource:
         size = tuple(sample.target.shape[1:])
         return Prediction(F.interpolate(mean, size, mode="bilinear", align_corners=True)[0, 0].numpy())
 
+
+_NO_CHANCE = np.random.default_rng(0)  # the crop is always the same, and asks for nothing of it
 
 TRIVIAL = ("best constant", "mean depth map")
 """Labels of the sources that need no photo."""
@@ -236,7 +325,7 @@ def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol])
         InputError: there is no such list, or a domain has no known depth.
     """
     datasets = [open_dataset(path, split="train") for path in training]
-    about = {"training": {str(path): list_fingerprint(str(path)) for path in training}}
+    about = {"training": [str(path) for path in training]}
     constant = ConstantSource(_training_samples(datasets, protocols), protocols, about=about)
     mean_map = MeanMapSource(_training_samples(datasets, protocols), protocols, about=about)
     return dict(zip(TRIVIAL, (constant, mean_map), strict=True))
@@ -244,13 +333,40 @@ def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol])
 
 def prepare(sample: Sample, protocol: Protocol) -> Sample:
     """Crop photo and depth as the protocol says, before the photo is predicted and the depth is scored."""
-    return kitti_crop()(sample, np.random.default_rng()) if protocol.kitti_crop else sample
+    return kitti_crop()(sample, _NO_CHANCE) if protocol.kitti_crop else sample
 
 
 def predict(source: PredictionSource, sample: Sample, protocol: Protocol) -> tuple[Prediction, Sample]:
-    """Predict a sample as an evaluation does; returns the sample as it is scored, too."""
+    """Predict a sample as an evaluation does; returns the sample as it is scored, too.
+
+    A file may hold the depth of the whole photo where the protocol crops it: it is cropped in the same way.
+
+    Raises:
+        InputError: the source says so; or a file's size does not tell whether its depth is that of the photo or of the
+            crop, or shows that photo or depth lies on its side.
+    """
     shown = prepare(sample, protocol)
-    return source.predict(shown, protocol), shown
+    found = source.predict(shown, protocol)
+    if found.file is None:
+        return found, shown
+    whole, cropped = tuple(sample.target.shape[1:]), tuple(shown.target.shape[1:])
+    if found.depth.shape[::-1] == whole != found.depth.shape:
+        raise InputError(
+            f"{found.file} is {_size(found.depth.shape)}, and {sample.name} {_size(whole)} (height x width): turn one"
+        )
+    if whole != cropped and found.depth.shape == whole:
+        map_ = torch.from_numpy(found.depth)[None]
+        return found._replace(depth=kitti_crop()(replace(sample, target=map_), _NO_CHANCE).target[0].numpy()), shown
+    if whole != cropped != found.depth.shape:
+        raise InputError(
+            f"{found.file} is {_size(found.depth.shape)} (height x width): give it the size of the photo, "
+            f"{_size(whole)}, or that of the crop of the protocol, {_size(cropped)}"
+        )
+    return found, shown
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]} x {shape[1]}"
 
 
 Value = TypeVar("Value")

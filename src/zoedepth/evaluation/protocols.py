@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, no_such
 
 Crop = Literal["none", "eigen", "eigen-scaled", "garg"]
 
@@ -139,7 +139,7 @@ def find_protocol(name: str) -> Protocol:
         InputError: there is none of this name.
     """
     if name not in PROTOCOLS:
-        raise InputError(f"there is no protocol {name!r}; there are {sorted(PROTOCOLS)}")
+        raise no_such("protocol", name, PROTOCOLS)
     return PROTOCOLS[name]
 
 

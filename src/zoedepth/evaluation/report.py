@@ -2,9 +2,11 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote
 
 import numpy as np
 
@@ -23,6 +25,8 @@ from zoedepth.images import ImageArray, atomic_path, to_image, write_image
 ERROR_LIMIT = 50.0
 """Error, in percent of the true depth, at which the scale of colours ends on both sides."""
 
+_DODGE = 0.08  # distance of two curves in a plot; ranges are 1 apart
+
 
 def write_report(
     folder: Path,
@@ -32,7 +36,7 @@ def write_report(
     command: str,
     pictures: Mapping[str, Sequence[tuple[str, Path]]],
 ) -> None:
-    """Write ``report.json``, ``report.md`` and ``report.tex``, each whole or not at all.
+    """Write ``report.md``, ``report.html``, ``report.tex`` and ``report.json``, each whole or not at all.
 
     Args:
         folder: where the scores and pictures of the evaluation are.
@@ -41,24 +45,75 @@ def write_report(
         command: how the evaluation was started; the report quotes it. It may be empty.
         pictures: data set → (caption, file in the folder).
     """
-    values = {"zoedepth": __version__, "command": command, "results": [summary.to_json() for summary in summaries]}
-    _write(folder / "report.json", json.dumps(values, indent=2) + "\n")
-    _write(folder / "report.tex", "\n".join(table.latex() for table in tables))
     parts = ["# Evaluation", f"zoedepth {__version__}"]
     if command:
         parts[1:] = [f"zoedepth {__version__}:", f"```bash\n{command}\n```"]
+    page = [f"<p>zoedepth {__version__}</p>", f"<pre>{escape(command)}</pre>" if command else ""]
     for data in dict.fromkeys(summary.data for summary in summaries):
         parts.append(f"## {data}")
-        parts += [table.markdown() for table in tables if table.title.startswith(f"{data}: ")]
-        skipped = [s for s in summaries if s.data == data and (s.n_scored < s.n_images or s.n_failed)]
-        parts += [
+        page.append(f"<h2>{escape(data)}</h2>")
+        mine = [table for table in tables if table.title.startswith(f"{data}: ")]
+        parts += [table.markdown() for table in mine]
+        page += [table.html() for table in mine]
+        notes = [
             f"{s.source}: {s.n_images - s.n_scored} images without a known pixel under the protocol, "
             f"{s.n_failed} that failed; neither is in a mean."
-            for s in skipped
+            for s in summaries
+            if s.data == data and (s.n_scored < s.n_images or s.n_failed)
         ]
+        parts += notes
+        page += [f"<p>{escape(note)}</p>" for note in notes]
         for caption, path in pictures.get(data, ()):
-            parts += [f"*{caption}*", f"![{caption}]({path.relative_to(folder).as_posix()})"]
+            link = quote(path.relative_to(folder).as_posix())
+            parts += [f"*{caption}*", f"![{caption}]({link})"]
+            page.append(
+                f'<figure><figcaption>{escape(caption)}</figcaption><img src="{link}" alt="{escape(caption)}"></figure>'
+            )
     _write(folder / "report.md", "\n\n".join(parts) + "\n")
+    _write(folder / "report.html", _PAGE.replace("BODY", "\n".join(filter(None, page))))
+    _write(folder / "report.tex", "\n".join(table.latex() for table in tables))
+    values = {"zoedepth": __version__, "command": command, "results": [summary.to_json() for summary in summaries]}
+    _write(folder / "report.json", readable_json(values, indent=2) + "\n")
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>Evaluation</title>
+<style>
+body { font: 15px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
+h2 { margin-top: 3rem; border-bottom: 1px solid #ccc }
+pre { background: #f4f4f4; padding: .6rem; white-space: pre-wrap; overflow-wrap: anywhere }
+.table { overflow-x: auto; margin: 1.5rem 0 }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums }
+caption { text-align: left; font-weight: 600; padding: .3rem .6rem; white-space: nowrap }
+th, td { padding: .25rem .6rem; text-align: right; white-space: nowrap; border-bottom: 1px solid #e4e4e4 }
+th:first-child, td:first-child { text-align: left }
+thead th { border-bottom: 2px solid #888 }
+td.best { font-weight: 700 }
+figure { margin: 1.5rem 0 }
+figcaption { font-weight: 600; margin-bottom: .3rem }
+img { max-width: 100%; height: auto }
+</style>
+</head>
+<body>
+<h1>Evaluation</h1>
+BODY
+</body>
+</html>
+"""
+
+
+def readable(text: str) -> str:
+    """Return a text that can be written as UTF-8: bytes of an argument or a file name that are none become marks."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def readable_json(values: object, *, indent: int | None = None) -> str:
+    """Return values as JSON in ASCII, all of whose strings any reader takes; see ``readable``."""
+    return json.dumps(json.loads(readable(json.dumps(values, ensure_ascii=False))), indent=indent)
 
 
 def examples(
@@ -158,9 +213,12 @@ def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     positions = np.arange(len(names))
-    for summary in summaries:
+    # Equal curves are all seen: their points lie side by side, and each line is thinner than those below it.
+    shifts = _DODGE * (np.arange(len(summaries)) - (len(summaries) - 1) / 2)
+    widths = np.linspace(1.5 + min(1.5 * (len(summaries) - 1), 6), 1.5, len(summaries))
+    for summary, shift, width in zip(summaries, shifts, widths, strict=True):
         values = [summary.ranges[name]["rel"] if name in summary.ranges else np.nan for name in names]
-        top.plot(positions, values, marker="o", label=summary.source)
+        top.plot(positions + shift, values, marker="o", markersize=width + 3, linewidth=width, label=summary.source)
     top.set_ylabel("REL, pooled over pixels")
     top.set_ylim(bottom=0)
     top.grid(alpha=0.3)
@@ -202,4 +260,4 @@ def _spread(x: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _write(path: Path, text: str) -> None:
     with atomic_path(path) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(readable(text), encoding="utf-8")

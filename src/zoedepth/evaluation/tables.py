@@ -1,8 +1,11 @@
 """Set summaries in tables: metrics, further measures, and errors by depth; as Markdown and LaTeX."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from html import escape
 from itertools import pairwise
+from typing import NamedTuple
 
 from zoedepth.evaluation.protocols import PROTOCOLS
 from zoedepth.evaluation.scoring import RANGES
@@ -39,6 +42,24 @@ class ReportTable:
         note = f"\n\n{self.note}" if self.note else ""
         return f"**{self.title}**\n\n{text}{note}\n"
 
+    def html(self) -> str:
+        """Write the table as HTML."""
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in self.header)
+        body = "\n".join(
+            "<tr>"
+            + "".join(
+                f'<td class="best">{escape(cell)}</td>' if (i, j) in self.best else f"<td>{escape(cell)}</td>"
+                for j, cell in enumerate(row)
+            )
+            + "</tr>"
+            for i, row in enumerate(self.rows)
+        )
+        note = f"<p>{escape(self.note)}</p>\n" if self.note else ""
+        return (
+            f'<div class="table"><table>\n<caption>{escape(self.title)}</caption>\n<thead><tr>{head}</tr></thead>\n'
+            f"<tbody>\n{body}\n</tbody>\n</table></div>\n{note}"
+        )
+
     def latex(self) -> str:
         """Write the table as LaTeX that uses the package booktabs."""
         body = [
@@ -67,19 +88,23 @@ def _tex(text: str) -> str:
 
 
 def report_tables(
-    summaries: Sequence[Summary], paper: Mapping[str, Sequence[tuple[str, Mapping[str, object]]]]
+    summaries: Sequence[Summary],
+    paper: Mapping[str, Sequence[tuple[str, Mapping[str, object]]]],
+    *,
+    best_only: bool = False,
 ) -> list[ReportTable]:
     """Make three tables for each data set: the metrics, further measures, and REL by true depth.
 
     Args:
         summaries: one for each source on each data set.
         paper: data set → (method, metric → value as printed) of the paper.
+        best_only: see ``results_table``.
     """
     found = []
     for data in dict.fromkeys(summary.data for summary in summaries):
         mine = [summary for summary in summaries if summary.data == data]
         found += [
-            results_table(mine, data, paper=paper.get(data, ())),
+            results_table(mine, data, paper=paper.get(data, ()), best_only=best_only),
             extras_table(mine, data),
             ranges_table(mine, data),
         ]
@@ -87,43 +112,77 @@ def report_tables(
 
 
 def results_table(
-    summaries: Sequence[Summary], data: str, *, paper: Sequence[tuple[str, Mapping[str, object]]] = ()
+    summaries: Sequence[Summary],
+    data: str,
+    *,
+    paper: Sequence[tuple[str, Mapping[str, object]]] = (),
+    best_only: bool = False,
 ) -> ReportTable:
-    """Set the metrics of all sources on one data set, best values in bold; the paper's rows stand below.
+    """Set the metrics of all sources on one data set, best values in bold; with the paper's rows, all sorted by REL.
 
     Args:
         summaries: the summaries of all sources on this data set.
         data: its name.
         paper: (method, metric → value as printed) of the paper; they are not compared with ours.
+        best_only: of the paper's rows, show the one with the lowest REL and those of the sources alone.
     """
-    rows, values = [], []
-    for summary in summaries:
-        metrics = None if summary.metrics is None else asdict(summary.metrics)
-        values.append(metrics)
-        cells = [NOT_RUN if metrics is None else _number(name, metrics[name]) for name in COLUMNS]
-        aligned = "" if summary.alignment == "none" else f" ({summary.alignment}-aligned)"
-        router = "" if summary.router is None else f"{100 * summary.router:.1f} %"
-        rows.append((f"{summary.source}{aligned}", str(summary.n_scored), *cells, router))
-    for method, numbers in paper:
-        cells = ["-" if numbers.get(name) is None else str(numbers[name]) for name in COLUMNS]  # as printed
-        run = any(summary.source.lower() == method.lower() for summary in summaries)
-        rows.append((f"{method} (paper)", "" if run else NOT_RUN, *cells, ""))
+    lines = [_our_line(summary) for summary in summaries]
+    note = ""
+    if paper:
+        sources = {summary.source.lower() for summary in summaries}
+        shown = _best_rows(paper, sources) if best_only else paper
+        lines += [_paper_line(method, numbers, run=method.lower() in sources) for method, numbers in shown]
+        lines.sort(key=lambda line: (line.aligned, line.rel))
+        theirs = f"{data}#{PROTOCOLS[data].hash}" if data in PROTOCOLS else "its own"
+        note = f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."
+        if len(shown) < len(paper):
+            note += f" The paper has {len(paper)} rows: --with-paper all."
+    comparable = [i for i, line in enumerate(lines) if line.metrics is not None and not line.aligned]
     best = set()
-    comparable = [i for i, summary in enumerate(summaries) if values[i] is not None and summary.alignment == "none"]
-    if len(comparable) > 1:
-        for j, name in enumerate(COLUMNS, start=2):
-            shown = {i: values[i][name] for i in comparable}
-            top = max(shown.values()) if name in HIGHER_IS_BETTER else min(shown.values())
-            best |= {(i, j) for i in comparable if rows[i][j] == _number(name, top)}
+    for j, name in enumerate(COLUMNS, start=2):
+        values = [line.metrics[name] for i, line in enumerate(lines) if i in comparable and line.metrics is not None]
+        if len(values) > 1:
+            top = max(values) if name in HIGHER_IS_BETTER else min(values)
+            best |= {(i, j) for i in comparable if lines[i].cells[j] == _number(name, top)}
     labels = sorted({label for summary in summaries for label in summary.protocols.values()})
     kind = {summary.mean for summary in summaries}
     title = f"{data}: protocol {', '.join(labels)}; mean over {' and '.join(sorted(kind))}"
     header = ("source", "images", *(HEADINGS[name] for name in COLUMNS), "router")
-    note = ""
-    if paper:
-        theirs = f"{data}#{PROTOCOLS[data].hash}" if data in PROTOCOLS else "its own"
-        note = f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."
-    return ReportTable(title, header, tuple(rows), frozenset(best), note)
+    return ReportTable(title, header, tuple(line.cells for line in lines), frozenset(best), note)
+
+
+class _Line(NamedTuple):
+    """A row of the table of results, and what it is sorted and compared by."""
+
+    cells: tuple[str, ...]
+    rel: float
+    metrics: dict[str, float] | None = None
+    aligned: bool = False
+
+
+def _our_line(summary: Summary) -> _Line:
+    metrics = None if summary.metrics is None else asdict(summary.metrics)
+    numbers = [NOT_RUN if metrics is None else _number(name, metrics[name]) for name in COLUMNS]
+    aligned = "" if summary.alignment == "none" else f" ({summary.alignment}-aligned)"
+    router = "" if summary.router is None else f"{100 * summary.router:.1f} %"
+    cells = (f"{summary.source}{aligned}", str(summary.n_scored), *numbers, router)
+    return _Line(cells, math.inf if metrics is None else metrics["rel"], metrics, bool(aligned))
+
+
+def _paper_line(method: str, numbers: Mapping[str, object], *, run: bool) -> _Line:
+    shown = ["-" if numbers.get(name) is None else str(numbers[name]) for name in COLUMNS]  # as printed
+    return _Line((f"{method} (paper)", "" if run else NOT_RUN, *shown, ""), _paper_rel(numbers))
+
+
+def _paper_rel(numbers: Mapping[str, object]) -> float:
+    return math.inf if numbers.get("rel") is None else float(str(numbers["rel"]))
+
+
+def _best_rows(
+    paper: Sequence[tuple[str, Mapping[str, object]]], sources: set[str]
+) -> list[tuple[str, Mapping[str, object]]]:
+    best, _ = min(paper, key=lambda row: _paper_rel(row[1]))
+    return [row for row in paper if row[0] == best or row[0].lower() in sources]
 
 
 def extras_table(summaries: Sequence[Summary], data: str) -> ReportTable:
