@@ -123,7 +123,7 @@ def test_first_line_that_was_being_written_is_written_again(tmp_path: Path, text
     assert len(files_of(tmp_path).read()) == 3
 
 
-@pytest.mark.parametrize("text", ["notes", "rel,rmse\n0.1,0.2\n", "{}\n", "[]\n", '{"about": "me"}\n', '{"about": {}\n'])
+@pytest.mark.parametrize(
     "text", ["notes", "rel,rmse\n0.1,0.2\n", "{}\n", "[]\n", '{"about": "me"}\n', '{"about": {}\n{}']
 )
 def test_file_of_somebody_else_stays(tmp_path: Path, text: str) -> None:
