@@ -61,3 +61,19 @@ def test_wrong_options_write_nothing(tmp_path: Path, options: list[str], word: s
     with pytest.raises(InputError, match=word):
         run(tmp_path / "pairs", tmp_path / "out", *options)
     assert not (tmp_path / "out").exists()
+
+
+def test_other_peoples_shards_are_not_replaced(tmp_path: Path) -> None:
+    source = write_pairs(tmp_path / "pairs", n=1, size=(8, 12))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out/data-000000.tar").write_bytes(b"theirs")
+    with pytest.raises(InputError, match=r"has data-000000\.tar without an index\.json"):
+        run(source, tmp_path / "out")
+    assert (tmp_path / "out/data-000000.tar").read_bytes() == b"theirs"
+    assert run(source, tmp_path / "out", "--name", "rooms") == 0
+
+
+def test_a_folder_that_cannot_be_written_to_is_an_error_before_anything_is_read(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match=r"OUT \S*file: cannot write"):
+        run(tmp_path / "nowhere.csv", tmp_path / "file")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tests.train.runs import write_sparse
 from torch import nn
 
 from zoedepth.cli import main
+from zoedepth.commands.train import _described
 from zoedepth.config import EncoderConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
@@ -207,3 +209,105 @@ def test_unit_and_domain_that_the_data_does_not_say_are_given(init: str, tmp_pat
     assert main(arguments) == 0
     assert "attic 2.50 to 2.5 m" in capsys.readouterr().err
     assert [domain.name for domain in load_model(tmp_path / "b/model.safetensors").config.domains][2] == "attic"
+
+
+# ---------------------------------------------------------------------------------------------------- old results
+
+
+def folder_of_pairs(folder: Path, n: int = 12, scale: float = 1000, **facts: object) -> Path:
+    """Write a folder of pairs, whose depth is 0.5 to 4 m in millimetres, and what ``dataset.json`` says."""
+    write_pairs(folder, n=n, size=(48, 64))
+    (folder / "train.csv").unlink()
+    (folder / "dataset.json").write_text(json.dumps({"domain": "indoor", "depth_scale": scale, **facts}))
+    return folder
+
+
+def test_depth_beyond_a_kilometre_is_refused_unless_it_is_believed(planned, tmp_path: Path):
+    rooms = folder_of_pairs(tmp_path / "rooms", scale=0.001)
+    with pytest.raises(InputError, match=r"rooms: the median depth of its indoor photos is \S+e\+06 m.*--check off"):
+        planned({"rooms": rooms})
+    assert not (tmp_path / "out").exists()
+    assert planned({"rooms": rooms}, check="off").surveys["rooms"].far["indoor"] > 1e6
+
+
+def test_holes_stored_as_the_largest_number_are_unknown_in_training_too(planned, tmp_path: Path):
+    rooms = folder_of_pairs(tmp_path / "rooms")
+    for path in (rooms / "depth").iterdir():
+        stored = np.array(Image.open(path))
+        stored[:9] = 65535
+        Image.fromarray(stored).save(path)
+    chosen = planned({"rooms": rooms})
+    assert chosen.config.sources[0].max_depth == 65.53
+    assert [domain.max_depth for domain in chosen.config.model.domains] == [10, 80]
+    sample = module.open_source(chosen.config.sources[0], rooms)[0]
+    assert sample.target[sample.mask].max() <= 5
+    told = "\n".join(_described(chosen, tmp_path / "out"))
+    assert "hold the largest value, 65.535 m" in told
+    assert "It is taken for unknown from 65.53 m on." in told
+
+
+def test_broken_pairs_are_named_and_left_out_up_to_a_tenth(planned, tmp_path: Path):
+    rooms = folder_of_pairs(tmp_path / "rooms", n=20)
+    for index in (3, 11):
+        photo = rooms / f"image/train_{index:03d}.jpg"
+        photo.write_bytes(photo.read_bytes()[:300])
+    chosen = planned({"rooms": rooms})
+    assert list(chosen.broken["rooms"]) == [3, 11]
+    assert "rooms: skipped: " in "\n".join(_described(chosen, tmp_path / "out"))
+    (rooms / "image/train_005.jpg").write_bytes(b"")
+    with pytest.raises(InputError, match=r"3 of 20 pairs of \S*rooms cannot be read, more than a tenth:"):
+        planned({"rooms": rooms})
+
+
+@pytest.mark.parametrize("name", ["README.md", "metrics.json", "model.safetensors"])
+def test_files_that_are_not_ours_are_never_replaced(planned, tmp_path: Path, name: str):
+    rooms = folder_of_pairs(tmp_path / "rooms")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("mine")
+    with pytest.raises(InputError, match=f"out has {name}, and no fine-tuning has written it"):
+        planned({"rooms": rooms})
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [name]
+
+
+def test_the_folder_of_the_data_is_not_written_to(init: str, tmp_path: Path):
+    rooms = folder_of_pairs(tmp_path / "rooms")
+    before = sorted(rooms.rglob("*"))
+    for path in (rooms, tmp_path / "rooms/../rooms"):
+        with pytest.raises(InputError, match="is the folder of the data"):
+            plan({"rooms": str(rooms)}, FinetuneOptions(init=init), out=path)
+    assert sorted(rooms.rglob("*")) == before
+
+
+def test_a_result_belongs_to_its_data_its_options_and_its_weights(
+    init: str, tiny_model: ZoeDepth, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """Nothing is measured or trained before that is found out, and a finished one can be lengthened."""
+    rooms, out = folder_of_pairs(tmp_path / "rooms", n=3), tmp_path / "out"
+    arguments = ["train", "finetune", "--data", str(rooms), "--init", init, "--out", str(out), "--holdout", "1"]
+    assert main([*arguments, "--steps", "1"]) == 0
+    kept = {path: path.read_bytes() for path in (out / "README.md", out / "metrics.json")}
+    monkeypatch.setattr(module, "_measure", None)
+
+    def refused(*changes: str) -> str:
+        capsys.readouterr()
+        assert main([*arguments, "--steps", "1", *changes]) == 2
+        assert all(path.read_bytes() == content for path, content in kept.items())
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if "differ" in line]
+        return line
+
+    assert "['optim']" in refused("--learning-rate", "0.1")
+    depth = rooms / "depth/train_000.png"
+    content, times = depth.read_bytes(), depth.stat()
+    depth.write_bytes(content + b"\0")
+    assert "Files of the data, or what is said of them, have changed since" in refused()
+    depth.write_bytes(content)
+    os.utime(depth, ns=(times.st_atime_ns, times.st_mtime_ns))
+    with torch.no_grad():
+        next(tiny_model.parameters()).add_(1)
+    before = Path(init).read_bytes()
+    save_model(tiny_model, Path(init))
+    assert "other starting weights" in refused()
+    Path(init).write_bytes(before)
+    monkeypatch.undo()
+    assert main([*arguments, "--steps", "2"]) == 0
+    assert (out / "run/step_000002").is_dir()
