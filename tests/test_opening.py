@@ -148,3 +148,42 @@ def test_scenes_that_are_made_up() -> None:
 def test_scenes_that_nobody_makes_up(address: str) -> None:
     with pytest.raises(InputError, match="synthetic:"):
         open_dataset(address)
+
+
+def test_root_is_where_the_files_of_a_list_are(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "lists").mkdir()
+    for suffix in ("csv", "tsv"):
+        text = (folder / "train.csv").read_text()
+        path = tmp_path / "lists" / f"some.{suffix}"
+        path.write_text(text.replace(",", "\t") if suffix == "tsv" else text)
+        assert open_dataset(path, root=folder)[1].name == str(Path("image/train_001.jpg"))
+        with pytest.raises(InputError, match="--root names another"):
+            open_dataset(path)
+
+
+def test_two_lists_of_a_split_are_an_error(folder: Path) -> None:
+    (folder / "train.jsonl").write_text("{}")
+    with pytest.raises(InputError, match=r"has both train\.csv and train\.jsonl: give one"):
+        open_dataset(folder)
+
+
+def test_folder_without_a_list_has_no_use_for_a_root(folder: Path, tmp_path: Path) -> None:
+    (folder / "train.csv").unlink()
+    sample = open_dataset(folder, root=tmp_path, depth_scale=1000, domain="indoor")[0]
+    assert sample.name == str(Path("image/train_000.jpg"))
+
+
+@pytest.mark.parametrize("suffix", [".pfm", ".pgm"])
+def test_portable_maps_in_a_folder(tmp_path: Path, suffix: str) -> None:
+    for half in ("rgb", "depth"):
+        (tmp_path / half).mkdir()
+    Image.new("RGB", (2, 1)).save(tmp_path / "rgb" / "a.jpg")
+    content = {
+        ".pfm": b"Pf\n2 1\n-1\n" + np.array([0.5, 2], "<f4").tobytes(),
+        ".pgm": b"P5 2 1 4095 " + np.array([500, 2000], ">u2").tobytes(),
+    }
+    (tmp_path / "depth" / f"a{suffix}").write_bytes(content[suffix])
+    assert open_dataset(tmp_path, depth_scale=1000, domain="indoor")[0].target[0].tolist() == [[0.5, 2]]
+    if suffix == ".pgm":
+        with pytest.raises(InputError, match=r"nobody says the depth_scale of a\.pgm"):
+            open_dataset(tmp_path, domain="indoor")

@@ -16,11 +16,11 @@ from zoedepth.shards.dataset import ShardDataset, find_shards
 from zoedepth.shards.index import INDEX_FILE
 from zoedepth.synthetic import SyntheticScenes
 
-LISTS = (".csv", ".jsonl", ".txt")
+LISTS = (".csv", ".tsv", ".jsonl", ".txt")
 """Suffixes of lists of pairs."""
 
 ACCEPTED = f"""accepted are
-    a list of pairs: .csv, .jsonl, or BTS's .txt
+    a list of pairs: .csv, .tsv, .jsonl, or .txt
     a folder with SPLIT.csv or SPLIT.jsonl
     a folder of pairs: {", ".join("/ and ".join(layout) + "/" for layout in LAYOUTS)}
     shards: a .tar, {INDEX_FILE}, their address, or a folder of them (also SPLIT/ in it)
@@ -43,6 +43,7 @@ def open_dataset(
     depth_scale: float | None = None,
     domain: str | None = None,
     max_depth: float | None = None,
+    root: str | Path | None = None,
     keep_missing: bool = False,
     use_masks: bool = True,
 ) -> DepthDataset:
@@ -57,6 +58,8 @@ def open_dataset(
         depth_scale: the stored value of one metre, for whole numbers of which the data does not say it.
         domain: scene type, where the data does not say it.
         max_depth: the metres from which on depth is unknown, where the data does not say it.
+        root: the folder that the paths of a list are relative to; None takes that of the list. Data of other forms has
+            no use for it.
         keep_missing: accept pairs whose files are missing. Reading them is an error, and ``missing_files`` of the data
             set lists them.
         use_masks: False ignores a published set's own masks, see ``zoedepth.datasets.published.PublishedDataset``.
@@ -68,7 +71,7 @@ def open_dataset(
     text = str(source)
     scheme = text.partition(":")[0]
     given = {"depth_scale": depth_scale, "domain": domain, "max_depth": max_depth}
-    missing = {"allow_missing": allow_missing, "keep_missing": keep_missing}
+    pairs = {"allow_missing": allow_missing, "keep_missing": keep_missing, "root": root}
     if scheme == "hf":
         return _open_hub(text, split=split, facts=Facts(depth_scale, domain, max_depth=max_depth))
     if scheme == "synthetic":
@@ -81,22 +84,22 @@ def open_dataset(
     if path.is_dir() and name in DATASETS and not use_masks:
         return DATASETS[name](path, split=split, allow_missing=allow_missing, use_masks=False)
     if path.is_dir():
-        return _open_folder(path, name=name, split=split, given=given, missing=missing)
+        return _open_folder(path, name=name, split=split, given=given, pairs=pairs)
     if not path.is_file():
         raise InputError(f"there is no {path}; {ACCEPTED}")
     if path.suffix.lower() in LISTS:
-        return PairDataset(path, **missing, **given)
+        return PairDataset(path, **pairs, **given)
     if path.suffix == ".tar" or path.name == INDEX_FILE:
         return ShardDataset(path, **given)
     raise InputError(f"{path} is not data in a known format; {ACCEPTED}")
 
 
 def _open_folder(
-    path: Path, *, name: str | None, split: str, given: dict[str, Any], missing: dict[str, bool]
+    path: Path, *, name: str | None, split: str, given: dict[str, Any], pairs: dict[str, Any]
 ) -> DepthDataset:
     shards = path / split if (path / split / INDEX_FILE).is_file() else path
     if find_list(path, split):
-        return PairDataset(path, split=split, **missing, **given)
+        return PairDataset(path, split=split, **pairs, **given)
     if (shards / INDEX_FILE).is_file():
         return ShardDataset(shards, **given)
     if is_saved(path):
@@ -104,9 +107,9 @@ def _open_folder(
         given = {**given, "depth_scale": None, "default_scale": given["depth_scale"]}
         return HuggingFaceDataset(data, name=str(path), **given, folder=path)
     if name in DATASETS:
-        return DATASETS[name](path, split=split, allow_missing=missing["allow_missing"])
+        return DATASETS[name](path, split=split, allow_missing=pairs["allow_missing"])
     if find_layout(path):
-        return PairDataset(path, split=split, **missing, **given)
+        return PairDataset(path, split=split, **pairs, **given)
     if find_shards(path):
         return ShardDataset(path, **given)
     looked = f"{split}.csv, {split}.jsonl, {INDEX_FILE}, tar files, folders of photos and depth"

@@ -68,12 +68,12 @@ def read_list(path: Path, defaults: Facts, *, root: Path | None = None, anywhere
 
 
 def check_unit(pair: Pair, defaults: Facts, where: str) -> None:
-    """Check that the list, the defaults or the file itself says the unit of a PNG.
+    """Check that the list, the defaults or the file itself says the unit of a PNG or PGM.
 
     Raises:
         InputError: none of them does.
     """
-    if pair.target is None or pair.scale or defaults.depth_scale or pair.target.suffix.lower() != ".png":
+    if pair.target is None or pair.scale or defaults.depth_scale or pair.target.suffix.lower() not in (".png", ".pgm"):
         return
     if declared_scale(pair.target) is None:
         raise InputError(

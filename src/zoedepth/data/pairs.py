@@ -37,8 +37,15 @@ __all__ = ["Pair", "PairDataset", "find_list"]
 
 
 def find_list(folder: Path, split: str) -> Path | None:
-    """Return the list of a split in a folder, ``<split>.csv`` or ``<split>.jsonl``; None where there is neither."""
-    return next((path for suffix in ("csv", "jsonl") if (path := folder / f"{split}.{suffix}").is_file()), None)
+    """Return the list of a split in a folder, ``<split>.csv`` or ``<split>.jsonl``; None where there is neither.
+
+    Raises:
+        InputError: there are both.
+    """
+    found = [path for suffix in ("csv", "jsonl") if (path := folder / f"{split}.{suffix}").is_file()]
+    if len(found) > 1:
+        raise InputError(f"{folder} has both {found[0].name} and {found[1].name}: give one of the lists by its name")
+    return found[0] if found else None
 
 
 class PairDataset(Dataset[Sample]):
@@ -80,6 +87,7 @@ class PairDataset(Dataset[Sample]):
         found = find_list(path, split) if path.is_dir() else path
         self._root = folder if root is None else Path(root)
         if found is None and find_layout(path):
+            self._root = path
             self.path = path
             self.pairs = find_pairs(path, split=split, defaults=defaults, allow_missing=allow_missing)
         else:
