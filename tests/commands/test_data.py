@@ -164,6 +164,14 @@ def test_without_a_sub_command_is_an_error_that_lists_them(capsys: pytest.Captur
     assert "check" in capsys.readouterr().err
 
 
+def test_list_away_from_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    path = write_pairs(tmp_path / "pairs", n=2, size=(8, 12))
+    moved = path.rename(tmp_path / "moved.csv")
+    assert "In order" in run(capsys, "check", moved, "--root", tmp_path / "pairs")
+    run(capsys, "shard", moved, tmp_path / "shards", "--root", tmp_path / "pairs")
+    assert "In order" in run(capsys, "check", tmp_path / "shards")
+
+
 def test_named_paths():
     assert named_paths(["a=b/c.csv", "data/nyu", "data/kitti/test.csv"]) == {
         "a": Path("b/c.csv"),

@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -85,6 +85,7 @@ def check(
     every: bool = False,
     depth_scale: float | None = None,
     domain: str | None = None,
+    root: Path | None = None,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Check that data is complete and readable, and that its depth is in the right unit.
@@ -102,13 +103,14 @@ def check(
         every: read every pair instead of 50.
         depth_scale: the stored value of one metre, where the data does not say it.
         domain: scene type, where the data does not say it.
+        root: the folder that the paths of a list are relative to; without it that of the list.
         json_: print one JSON object, and nothing else.
     """
     from rich.console import Console
-    from rich.progress import track
 
     from zoedepth.checking import check as check_data
     from zoedepth.checking import contact_sheet
+    from zoedepth.commands.progress import track
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
     from zoedepth.stored import to_json
@@ -121,14 +123,15 @@ def check(
     if folder is not None:
         dataset = _open_published(what, folder, split)
     else:
-        dataset = _open_own(what, split, depth_scale=depth_scale, domain=domain)
+        dataset = _open_own(what, split, depth_scale=depth_scale, domain=domain, root=root)
     about = dataset.about if isinstance(dataset, PublishedDataset) else None
     console = Console(stderr=True, highlight=False)
-
-    def progress(indices: Sequence[int]) -> Iterator[int]:
-        return iter(track(indices, "reading", console=console, transient=True, disable=not console.is_terminal))
-
-    report = check_data(dataset, every=every, track=progress, looking=Ticker("looking at files", console.print))
+    report = check_data(
+        dataset,
+        every=every,
+        track=lambda indices: track(indices, "reading", console=console),
+        looking=Ticker("looking at files", console.print),
+    )
     path = str(dataset.root if isinstance(dataset, PublishedDataset) else getattr(dataset, "path", what))
     used = dataset.split if isinstance(dataset, PublishedDataset) else None
     if json_:
@@ -183,15 +186,13 @@ def _open_published(name: str, folder: Path, split: str | None) -> "PublishedDat
     return dataset(folder, split=split or next(iter(dataset.about.splits)), allow_missing=True)
 
 
-def _open_own(source: str, split: str | None, *, depth_scale: float | None, domain: str | None) -> "DepthDataset":
+def _open_own(source: str, split: str | None, **given: Any) -> "DepthDataset":
     from zoedepth.datasets import DATASETS
     from zoedepth.opening import open_dataset
 
     if source in DATASETS and not Path(source).exists():
         raise InputError(f"say where {source} is: zoedepth data check {source} FOLDER")
-    return open_dataset(
-        source, split=split or "train", allow_missing=True, keep_missing=True, depth_scale=depth_scale, domain=domain
-    )
+    return open_dataset(source, split=split or "train", allow_missing=True, keep_missing=True, **given)
 
 
 def _print(report: "Report", about: "About | None", *, path: str, split: str | None) -> None:

@@ -1,16 +1,11 @@
 """``zoedepth data shard``: write data as shards."""
 
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import tyro
 
 from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
-
-if TYPE_CHECKING:
-    from zoedepth.shards.writer import Packed
 
 
 def shard(
@@ -22,6 +17,7 @@ def shard(
     shard_size: str = "500MB",
     depth_scale: float | None = None,
     domain: str | None = None,
+    root: Path | None = None,
     workers: int = 0,
 ) -> int:
     """Write data as WebDataset shards: a few large files in place of many small ones, fast to copy and to read.
@@ -37,11 +33,12 @@ def shard(
         shard_size: how large a shard may become: 500MB, 2GB, or a number of samples.
         depth_scale: the stored value of one metre, where the source does not say it.
         domain: scene type, where the source does not say it.
+        root: the folder that the paths of a list are relative to; without it that of the list.
         workers: extra processes that read and pack; 0 does everything in one.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from zoedepth.commands.progress import track
     from zoedepth.opening import open_dataset
     from zoedepth.shards.index import INDEX_FILE
     from zoedepth.shards.writer import ShardSize, write_shards
@@ -53,18 +50,16 @@ def shard(
             f"{out} has {others[0].name} without an {INDEX_FILE}: it may be somebody else's, and would be replaced. "
             "Choose another folder or another --name"
         )
-    dataset = open_dataset(source, name=name, split=split, depth_scale=depth_scale, domain=domain)
+    dataset = open_dataset(source, name=name, split=split, depth_scale=depth_scale, domain=domain, root=root)
     console = Console(stderr=True, highlight=False)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-
-        def track(samples: "Iterable[Packed]", first: int) -> "Iterable[Packed]":
-            task = progress.add_task("shards", total=len(dataset), completed=first)
-            for sample in samples:
-                yield sample
-                progress.advance(task)
-
-        index = write_shards(dataset, out, name=name or "data", size=size, workers=workers, track=track)
+    index = write_shards(
+        dataset,
+        out,
+        name=name or "data",
+        size=size,
+        workers=workers,
+        track=lambda samples, first: track(samples, "shards", total=len(dataset), first=first, console=console),
+    )
     console.print(f"{len(dataset)} samples in {len(index.shards)} shards", markup=False)
     print(out)
     return 0
