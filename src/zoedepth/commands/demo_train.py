@@ -9,9 +9,9 @@ from typing import Annotated
 
 import tyro
 from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
+from zoedepth.commands.progress import track
 from zoedepth.commands.writable import check_writable
 from zoedepth.recipes import demo
 
@@ -45,7 +45,7 @@ def demo_train(
         name="scenes",
         size=ShardSize(samples=40),
         workers=2,
-        track=lambda samples, first: track(samples, total=scenes - first, description="scenes", console=console),
+        track=lambda samples, first: track(samples, "scenes", total=scenes, first=first, console=console),
     )
     data = {"scenes": out / "scenes"}
     console.print("Stage 1: relative depth")

@@ -225,9 +225,9 @@ def _sources(
 
 
 def _track(console: "Console", indices: list[int], description: str) -> Iterable[int]:
-    from rich.progress import track
+    from zoedepth.commands.progress import track
 
-    return track(indices, description=description, console=console, disable=not console.is_terminal)
+    return track(indices, description, console=console)
 
 
 def _record(summary: "Summary") -> dict:
