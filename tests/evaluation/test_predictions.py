@@ -1,6 +1,7 @@
 """Sources of predictions: a model as the protocol runs it, files found by name, and what is said without looking."""
 
 import dataclasses
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
 
@@ -289,6 +290,32 @@ def skewed(*, seed: int, domain: str = "indoor", size: tuple[int, int] = (9, 11)
     """Make a depth with a long tail, in part unknown or beyond 10 m."""
     rng = np.random.default_rng(seed)
     return sample_of(np.where(rng.random(size) < 0.8, np.exp(rng.normal(0.5, 1, size)), 0), domain=domain)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [("7.npy", "7_depth.npy"), ("image/7_depth.png", "image/7.npy")],
+)
+def test_two_files_that_may_be_the_depth_of_a_photo_are_an_error(tmp_path: Path, one: str, other: str) -> None:
+    for name in (one, other):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        write_maps(tmp_path / name, Maps(DEPTH))
+    with pytest.raises(InputError, match=r"may both be the depth of image/7\.jpg"):
+        FolderSource(tmp_path).predict(named("image/7.jpg"), EVERYWHERE)
+    (tmp_path / one).unlink()
+    np.testing.assert_array_equal(FolderSource(tmp_path).predict(named("image/7.jpg"), EVERYWHERE).depth, DEPTH)
+
+
+def test_one_depth_in_two_formats_is_no_matter(tmp_path: Path) -> None:
+    for suffix in (".png", ".npy"):  # as `zoedepth predict --save depth npy` writes it
+        write_maps(tmp_path / f"7_depth{suffix}", Maps(DEPTH))
+    np.testing.assert_array_equal(FolderSource(tmp_path).predict(named("7.jpg"), EVERYWHERE).depth, DEPTH)
+
+
+def test_names_that_look_the_same_are_found(tmp_path: Path) -> None:
+    stored, said = (unicodedata.normalize(form, "Küche/é") for form in ("NFD", "NFC"))
+    write_maps(tmp_path / f"{stored}.png", Maps(DEPTH))
+    np.testing.assert_array_equal(FolderSource(tmp_path).predict(named(f"{said}.jpg"), EVERYWHERE).depth, DEPTH)
 
 
 def test_constant_has_the_least_mean_rel_of_all() -> None:

@@ -229,7 +229,7 @@ def test_wide_photos_are_in_two_lines(monkeypatch: pytest.MonkeyPatch, size: tup
     picture = picture_of(source_of(1, 0.5, 0.75), photos(3, size=size))
     assert [len(row) for row in sheets[0]] == shape
     if len(shape) == 6:  # photo and prediction above each other's truth and error
-        assert picture.shape[1] < 4 * size[1]
+        assert picture.shape[1] < 4 * 2 * size[1]  # enlarged twice, for the captions
 
 
 def test_errors_are_red_where_too_far_blue_where_too_near_and_grey_where_unknown(

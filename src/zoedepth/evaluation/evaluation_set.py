@@ -33,6 +33,7 @@ def open_evaluation_set(
     name: str | None = None,
     protocol: Protocol | None = None,
     changes: Mapping[str, Any] | None = None,
+    root: Path | None = None,
 ) -> EvaluationSet:
     """Open data and choose its protocols: the given one, else the paper's for a published set, else by domain.
 
@@ -41,12 +42,13 @@ def open_evaluation_set(
         name: name of the data. That of a published data set, such as nyu, says how its official folder is read.
         protocol: for all domains of the data; None chooses.
         changes: fields of ``Protocol`` → values that replace those of the chosen protocols.
+        root: the folder that the paths of a list are relative to; None takes that of the list.
 
     Raises:
         InputError: there is no such data, it holds disparity, or a changed protocol makes no sense.
     """
     use_masks = protocol is None or protocol.use_mask
-    dataset = open_dataset(source, name=name, split="test", allow_missing=True, use_masks=use_masks)
+    dataset = open_dataset(source, name=name, split="test", allow_missing=True, use_masks=use_masks, root=root)
     if "disparity" in dataset.kinds:
         raise InputError(f"{source} has disparity, which cannot be scored in metres: give data with depth")
     if protocol is None and name is not None and isinstance(dataset, PublishedDataset):

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 
 from zoedepth.data.augment import kitti_crop
+from zoedepth.data.names import Finder
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.download import Progress
 from zoedepth.errors import InputError
@@ -151,6 +152,7 @@ class FolderSource:
         self.kind = kind
         self.about: dict[str, object] = {"folder": str(folder), "scale": scale, "kind": kind or "depth"}
         self._photos: dict[Path, str] = {}
+        self._finder = Finder(folder, anywhere=True)
 
     def state(self, name: str) -> object:
         """Return name, size and times of the file of a photo."""
@@ -159,13 +161,20 @@ class FolderSource:
 
     def find(self, name: str) -> Path | None:
         """Return the file of a photo; None where there is none."""
-        stem = Path(name).with_suffix("")
-        names = [stem, Path(stem.name), stem.with_name(f"{stem.name}_depth"), Path(f"{stem.name}_depth")]
-        paths = (self.folder / f"{found}{suffix}" for found in names for suffix in _SUFFIXES)
-        path = next((path for path in paths if path.is_file()), None)
+        path = next(self._candidates(name), None)
         if path is not None:
             self._photos.setdefault(path, name)
         return path
+
+    def _candidates(self, name: str) -> Iterator[Path]:
+        """Yield the files that may be a photo's."""
+        stem = Path(name).with_suffix("")
+        names = [stem, Path(stem.name), stem.with_name(f"{stem.name}_depth"), Path(f"{stem.name}_depth")]
+        for found in dict.fromkeys(names):
+            for suffix in _SUFFIXES:
+                path = self._finder.find(f"{found}{suffix}", str(self.folder))
+                if path.is_file():
+                    yield path
 
     def unit(self, name: str) -> float | None:
         """Return the stored value of one metre in the file of a photo; None where nobody says it.
@@ -205,6 +214,10 @@ class FolderSource:
                 f"{path} would be the depth of two photos, {other} and {name}: put the depth maps into folders like "
                 "those of the photos"
             )
+        # A file in the photos' tree goes before one of the same name elsewhere; formats do not matter.
+        others = [file for file in self._candidates(name) if file.parent == path.parent and file.stem != path.stem]
+        if others:
+            raise InputError(f"{path} and {others[0]} may both be the depth of {name}. Remove one of them")
         stored = read_stored(path)
         if stored.values.dtype.itemsize < 2 and self.kind != "disparity":
             raise InputError(

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from html import escape
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote
@@ -25,7 +25,9 @@ from zoedepth.images import ImageArray, atomic_path, to_image, write_image
 ERROR_LIMIT = 50.0
 """Error, in percent of the true depth, at which the scale of colours ends on both sides."""
 
+_MIN_WIDTH = 300  # pixels of a picture: a caption is as long
 _DODGE = 0.08  # distance of two curves in a plot; ranges are 1 apart
+_LINES = ("-", (0, (6, 6)), (0, (2, 4)), (0, (8, 3, 2, 3)))  # lines without gaps, with long, short and both gaps
 
 
 def write_report(
@@ -85,7 +87,7 @@ _PAGE = """<!DOCTYPE html>
 <style>
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; color: #222 }
 h2 { margin-top: 3rem; border-bottom: 1px solid #ccc }
-pre { background: #f4f4f4; padding: .6rem; white-space: pre-wrap; overflow-wrap: anywhere }
+pre { background: #f4f4f4; padding: .6rem; overflow-x: auto }
 .table { overflow-x: auto; margin: 1.5rem 0 }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums }
 caption { text-align: left; font-weight: 600; padding: .3rem .6rem; white-space: nowrap }
@@ -171,14 +173,16 @@ def _panels(example: _Example, *, vmin: float, vmax: float) -> list[list[ImageAr
     size = (height, width)
     error = np.where(scored, 100 * (example.depth / np.where(scored, truth, 1) - 1), np.nan)
     known = np.where(example.sample.mask[0].numpy(), truth, np.nan)
-    depth_bar = color_bar(height, vmin=vmin, vmax=vmax)
-    error_bar = color_bar(height, vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
+    factor = -(-_MIN_WIDTH // width)  # small photos are enlarged, so that captions have room
+    frame = (factor * height, factor * width)
+    depth_bar = color_bar(frame[0], vmin=vmin, vmax=vmax)
+    error_bar = color_bar(frame[0], vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
     predicted = colorize(resize_depth(example.depth, size), vmin=vmin, vmax=vmax)
     four = [
-        panel(to_image(example.sample.image), size=size, caption=f"{example.caption}, {example.sample.name}"[:48]),
-        panel(colorize(_spread(known, size), vmin=vmin, vmax=vmax), size=size, caption="measured (grey: unknown)"),
-        panel(predicted, size=size, bar=depth_bar, caption="predicted"),
-        panel(_colored_error(_spread(error, size)), size=size, bar=error_bar, caption="error (red: too far)"),
+        panel(to_image(example.sample.image), size=frame, caption=f"{example.caption}, {example.sample.name}"[:48]),
+        panel(colorize(_spread(known, size), vmin=vmin, vmax=vmax), size=frame, caption="measured (grey: unknown)"),
+        panel(predicted, size=frame, bar=depth_bar, caption="predicted"),
+        panel(_colored_error(_spread(error, size)), size=frame, bar=error_bar, caption="error (red: too far)"),
     ]
     return [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
 
@@ -213,12 +217,11 @@ def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
     figure = Figure(figsize=(7, 4.2), layout="constrained")
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     positions = np.arange(len(names))
-    # Equal curves are all seen: their points lie side by side, and each line is thinner than those below it.
+    # Equal curves are all seen: their points lie side by side, and the gaps of a line show those below it.
     shifts = _DODGE * (np.arange(len(summaries)) - (len(summaries) - 1) / 2)
-    widths = np.linspace(1.5 + min(1.5 * (len(summaries) - 1), 6), 1.5, len(summaries))
-    for summary, shift, width in zip(summaries, shifts, widths, strict=True):
+    for summary, shift, style in zip(summaries, shifts, cycle(_LINES), strict=False):
         values = [summary.ranges[name]["rel"] if name in summary.ranges else np.nan for name in names]
-        top.plot(positions + shift, values, marker="o", markersize=width + 3, linewidth=width, label=summary.source)
+        top.plot(positions + shift, values, marker="o", markersize=4, linestyle=style, label=summary.source)
     top.set_ylabel("REL, pooled over pixels")
     top.set_ylim(bottom=0)
     top.grid(alpha=0.3)
