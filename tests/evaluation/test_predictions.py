@@ -241,6 +241,13 @@ def test_disparity_has_no_unit_and_may_have_8_bits(tmp_path: Path) -> None:
         FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE)
 
 
+def test_relative_depth_of_this_package_is_not_taken_for_metres(tmp_path: Path) -> None:
+    write_maps(tmp_path / "a.png", Maps(relative=DEPTH))
+    with pytest.raises(InputError, match=r"a\.png says that it is relative depth.*--predictions-kind disparity"):
+        FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE)
+    assert FolderSource(tmp_path, kind="disparity").predict(named("a.jpg"), EVERYWHERE).relative
+
+
 def test_map_that_two_photos_would_share_is_nobodys(tmp_path: Path) -> None:
     write_maps(tmp_path / "1.npy", Maps(depth=DEPTH))
     source = FolderSource(tmp_path)

@@ -31,6 +31,7 @@ def evaluate(
     predictions: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=FOLDER...")] = (),
     predictions_scale: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SCALE...")] = (),
     predictions_kind: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=KIND...")] = (),
+    root: Path | None = None,
     trivial: tuple[Path, ...] = (),
     protocol: Annotated[tuple[str, ...], tyro.conf.arg(metavar="DATA=PROTOCOL...")] = (),
     crop: Literal["none", "eigen", "eigen-scaled", "garg"] | None = None,
@@ -66,6 +67,7 @@ def evaluate(
             NAME=SCALE for one folder. It is needed for whole numbers that do not say it.
         predictions_kind: depth, disparity, or NAME=KIND for one folder. disparity is inverse depth up to an unknown
             scale and shift, as of MiDaS; it is scored with --align disparity.
+        root: the folder that the paths of the lists in --data are relative to; without it that of each list.
         trivial: lists of training data; adds two guesses that never look at the photo: the best constant, and the mean
             depth map.
         protocol: name of a protocol for all data, or DATA=PROTOCOL; see zoedepth.evaluation.protocols.PROTOCOLS.
@@ -111,7 +113,7 @@ def evaluate(
     given = named_sources(data)
     chosen = _protocols(protocol, list(given))
     sets = {
-        name: open_evaluation_set(source, name=name, protocol=chosen[name], changes=changes)
+        name: open_evaluation_set(source, name=name, protocol=chosen[name], changes=changes, root=root)
         for name, source in given.items()
     }
     found = score_all(

@@ -224,6 +224,8 @@ class FolderSource:
                 f"{path} has 8 bits a pixel: it is a picture of depth. Give 16 bits or floating point; if it is "
                 "inverse depth, add --predictions-kind disparity"
             )
+        if stored.relative and self.kind is None:
+            raise InputError(f"{path} says that it is relative depth, without metres: add --predictions-kind disparity")
         in_metres = 1.0 if stored.values.dtype.kind == "f" else None
         return path, stored.values.astype(np.float32), self.scale or stored.scale or in_metres
 
