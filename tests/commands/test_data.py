@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests.datasets.base import write_photo
-from tests.folders import write_pairs
+from tests.folders import write_csv, write_pairs
 
 from zoedepth.cli import main
 from zoedepth.commands.data import named_paths
@@ -133,6 +133,59 @@ def test_pairs_of_ones_own(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     record = json.loads(run(capsys, "check", tmp_path / "test.csv", "--json"))
     assert (record["pairs"], record["path"]) == (3, str(tmp_path / "test.csv"))
     assert "In order." in run(capsys, "check", tmp_path)
+
+
+def test_all_missing_files_of_ones_own_are_listed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_pairs(tmp_path, n=15, size=(8, 16))
+    missing = [tmp_path / f"image/train_{index:03d}.jpg" for index in range(12)]
+    for path in missing:
+        path.unlink()
+    output = run(capsys, "check", tmp_path, code=1)
+    assert [output.count("missing: "), "missing: and 2 more, which --json lists" in output] == [11, True]
+    assert "Not in order: 12 files are missing" in output
+    record = json.loads(run(capsys, "check", tmp_path, "--json", code=1))
+    assert record["missing_files"] == [str(path) for path in missing]
+    assert (record["missing"], record["read"]) == (12, 3)
+
+
+def test_a_file_that_is_cut_short_is_found_among_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_pairs(tmp_path, n=1, size=(8, 16))
+    row = {"image": "image/train_000.jpg", "depth": "depth/train_000.png", "depth_scale": 1000, "domain": "indoor"}
+    (tmp_path / "cut.jpg").write_bytes((tmp_path / row["image"]).read_bytes()[:300])
+    rows = [row] * 70
+    rows[33] = {**row, "image": "cut.jpg"}  # of 70, 50 are read
+    output = run(capsys, "check", write_csv(tmp_path / "list.csv", rows), code=1)
+    assert f"unreadable: {tmp_path}/cut.jpg" in output
+    assert "Not in order: 1 of 70 pairs cannot be read." in output
+
+
+def test_depth_in_a_wrong_unit_is_not_in_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    write_pairs(tmp_path, n=4, size=(32, 48))
+    (tmp_path / "train.csv").unlink()
+    (tmp_path / "dataset.json").write_text('{"domain": "indoor", "depth_scale": 100}')
+    output = run(capsys, "check", tmp_path, code=1)
+    assert "implausible: the median depth of its indoor photos is 2" in output
+    assert output.endswith("Not in order: its depth is not plausible.\n")
+    (problem,) = json.loads(run(capsys, "check", tmp_path, "--json", code=1))["problems"]
+    assert "where 0.2 to 20 m are usual: is the unit right?" in problem
+    (tmp_path / "dataset.json").write_text('{"domain": "indoor"}')
+    assert "In order." in run(capsys, "check", tmp_path, "--depth-scale", "1000")
+
+
+def test_shards_and_scenes_are_checked_as_everything_else(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    run(capsys, "shard", write_pairs(tmp_path / "pairs", n=2, size=(32, 48)), tmp_path / "shards")
+    for source in (tmp_path / "shards", tmp_path / "shards/index.json", tmp_path / "shards/data-000000.tar"):
+        record = json.loads(run(capsys, "check", source, "--json"))
+        assert (record["pairs"], record["read"], record["path"]) == (2, 2, str(source))
+    scenes = "synthetic:rooms?n=1&size=32x48"
+    assert json.loads(run(capsys, "check", scenes, "--json"))["path"] == scenes
+
+
+def test_a_sheet_that_cannot_be_written_is_an_error_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    (tmp_path / "file").write_text("")
+    assert "--sheet" in error(capsys, "check", tmp_path / "nowhere", "--sheet", tmp_path / "file/sheet.jpg")
 
 
 @pytest.mark.parametrize(

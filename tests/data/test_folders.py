@@ -7,15 +7,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from zoedepth.data.facts import Facts
+from zoedepth.data.folders import find_pairs
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.images import write_image
+from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 
 
 def photo(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    Image.new("RGB", (2, 1)).save(path)
+    Image.new("RGB", (2, 1), "grey").save(path)
 
 
 def depth(path: Path, near: int = 500) -> None:
@@ -228,6 +232,22 @@ def test_linked_folders_are_searched_and_circles_are_not(tmp_path: Path) -> None
     assert [dataset[i].name for i in range(len(dataset))] == ["images/a/0.jpg", "images/b/1.jpg"]
 
 
+def test_what_this_package_wrote_beside_the_photos_is_no_photo(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    write_maps(tmp_path / "images" / "0_depth.png", Maps(np.ones((1, 2), np.float32)))
+    write_image(tmp_path / "images" / "0_preview.jpg", np.zeros((1, 2, 3), np.uint8))
+    say(tmp_path)
+    for allow_missing in (False, True):
+        assert [each.image.name for each in PairDataset(tmp_path, allow_missing=allow_missing).pairs] == ["0.jpg"]
+
+
+def test_thumbnails_of_a_disk_station_are_no_photos(tmp_path: Path) -> None:
+    pair(tmp_path, "images", "depth", "0")
+    photo(tmp_path / "images" / "@eaDir" / "0.jpg" / "SYNOPHOTO_THUMB_M.jpg")
+    say(tmp_path)
+    assert len(PairDataset(tmp_path, allow_missing=True)) == 1
+
+
 class TestTimes:
     """Names that are times of two clocks."""
 
@@ -258,3 +278,20 @@ class TestTimes:
         say(tmp_path)
         with pytest.raises(InputError, match=r"Names must agree"):
             PairDataset(tmp_path)
+
+
+def test_few_files_without_their_other_half_are_kept_with_the_file_that_is_missing(tmp_path: Path) -> None:
+    for name in ("1", "2", "a/3", "4"):
+        for folder, suffix in (("images", "jpg"), ("depth", "png")):
+            if (name, folder) not in {("2", "depth"), ("a/3", "images")}:
+                (tmp_path / folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (tmp_path / folder / f"{name}.{suffix}").touch()
+    facts = Facts(1000, "indoor")
+    pairs = find_pairs(tmp_path, split="train", defaults=facts, keep_missing=True)
+    missing = [path for pair in pairs for path in pair.files if not path.exists()]
+    assert len(pairs) == 4
+    assert missing == [tmp_path / "depth/2.png", tmp_path / "images/a/3.jpg"]
+    (tmp_path / "images/4.jpg").unlink()
+    (tmp_path / "images/5.jpg").touch()
+    with pytest.raises(InputError, match="2 photos without depth"):
+        find_pairs(tmp_path, split="train", defaults=facts, keep_missing=True)

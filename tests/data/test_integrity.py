@@ -124,7 +124,7 @@ def test_many_files_are_looked_at_in_parts(pairs: PairDataset, monkeypatch: pyte
 
 def test_some_may_be_broken_and_few_are_named() -> None:
     assert [most_broken(n) for n in (1, 9, 20, 212, 100_000)] == [1, 1, 2, 21, 10_000]
-    assert named(["a", "b", "c"], most=2) == "    a\n    b\n    and 1 more"
+    assert named(["a", "b", "c"], most=2) == "a; b; and 1 more, which zoedepth data check lists"
 
 
 def test_archive_without_its_end_is_suspicious(tmp_path: Path) -> None:

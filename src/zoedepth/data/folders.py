@@ -1,7 +1,5 @@
 """Folders of pairs without a list: photos in one folder, depth in another, matched by their names."""
 
-import os
-from collections.abc import Iterator
 from pathlib import Path, PurePath
 
 from zoedepth.data.facts import DEFAULTS_FILE, Facts
@@ -9,7 +7,9 @@ from zoedepth.data.lists import Pair, check_unit
 from zoedepth.data.names import composed
 from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds
 from zoedepth.errors import InputError
+from zoedepth.folders import list_files
 from zoedepth.images import IMAGE_SUFFIXES
+from zoedepth.outputs.ownership import is_own_file
 from zoedepth.stored import DEPTH_SUFFIXES
 
 LAYOUTS = (("rgb", "depth"), ("image", "depth"), ("images", "depth"), ("images", "depths"))
@@ -23,11 +23,11 @@ class _Half:
     """The files of the photos, or of the depth, by their names.
 
     Args:
-        folder: where they are; linked folders are searched, too, and hidden files are left alone.
+        folder: where they are; see ``zoedepth.folders.list_files`` for what is left out.
         suffixes: suffixes (lower case) of the files that count.
 
     Raises:
-        InputError: two files have one name.
+        InputError: two files have one name, or a folder cannot be read.
     """
 
     def __init__(self, folder: Path, suffixes: frozenset[str]) -> None:
@@ -36,7 +36,10 @@ class _Half:
         """Path without suffix, relative to the folder → file; sorted."""
         self.others: dict[str, Path] = {}
         """The same for files of other suffixes."""
-        for path in sorted(_walk(folder)):
+        listing = list_files(folder)
+        for unread, reason in listing.unreadable.items():
+            raise InputError(f"{unread} cannot be read: {reason}")
+        for path in sorted(listing.files):
             stem = composed(path.relative_to(folder).with_suffix("").as_posix())
             if path.suffix.lower() not in suffixes:
                 self.others[stem] = path
@@ -71,7 +74,9 @@ def find_layout(folder: Path) -> tuple[Path, Path] | None:
     return found[0] if found else None
 
 
-def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool = False) -> list[Pair]:
+def find_pairs(
+    folder: Path, *, split: str, defaults: Facts, allow_missing: bool = False, keep_missing: bool = False
+) -> list[Pair]:
     """Find the pairs of a folder, sorted by name.
 
     ``images/a/0001.jpg`` goes with ``depth/a/0001.png``, or with ``depth/a/0001_depth.png``, which is the name that
@@ -84,6 +89,7 @@ def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool
         split: the folder below, where there are splits.
         defaults: domain, unit and camera of all pairs.
         allow_missing: accept photos without depth.
+        keep_missing: give photos and depths without their other half the file that it would be, if they are few.
 
     Raises:
         InputError: the folder has no such layout or split, photos or depths lack their other half, a name means two
@@ -101,17 +107,36 @@ def find_pairs(folder: Path, *, split: str, defaults: Facts, allow_missing: bool
     if not defaults.domain:
         raise InputError(f'{folder} needs a domain: write {{"domain": "indoor"}} into {folder / DEFAULTS_FILE}')
     photos, depths = _Half(layout[0], IMAGE_SUFFIXES), _Half(layout[1], frozenset(DEPTH_SUFFIXES))
+    for stem in photos.files.keys() - depths.files.keys():
+        if is_own_file(photos.files[stem]):  # written beside the photos by `zoedepth predict`
+            del photos.files[stem]
     _drop_endings(photos, depths)
     if photos.files.keys() != depths.files.keys() and _are_times(photos) and _are_times(depths):
         _match_times(photos, depths, allow_missing=allow_missing)
+    absent = _other_halves(photos, depths) if keep_missing else set()
     _check_matched(photos, depths, allow_missing=allow_missing)
     pairs = [
         Pair(photo, depths.files.get(stem), "depth", None, defaults.domain, defaults.camera)
         for stem, photo in photos.files.items()
     ]
     for pair in pairs:
-        check_unit(pair, defaults, str(pair.target))
+        if absent.isdisjoint(pair.files):
+            check_unit(pair, defaults, str(pair.target))
     return pairs
+
+
+def _other_halves(photos: _Half, depths: _Half) -> set[Path]:
+    """Add the files that photos and depths without their other half lack, if most have it; return these files."""
+    matched = photos.files.keys() & depths.files.keys()
+    absent = set()
+    if 2 * len(matched) >= max(len(photos.files), len(depths.files)):
+        for half, other in ((photos, depths), (depths, photos)):
+            suffix = half.files[min(matched)].suffix
+            for stem in other.files.keys() - matched - half.others.keys():
+                half.files[stem] = (half.folder / stem).with_name(f"{PurePath(stem).name}{suffix}")
+                absent.add(half.files[stem])
+            half.files = dict(sorted(half.files.items()))
+    return absent
 
 
 def _check_split(photos: Path, splits: list[str]) -> None:
@@ -191,17 +216,3 @@ def _check_matched(photos: _Half, depths: _Half, *, allow_missing: bool) -> None
             f"{photos.folder} and {depths.folder} have {', and '.join(counts)}. Names must agree up to the suffix: "
             "rename, add or remove these files"
         )
-
-
-def _walk(folder: Path) -> Iterator[Path]:
-    """Yield the files below a folder, hidden ones left out; a link that leads back above itself is not followed."""
-    for parent, folders, names in os.walk(folder, followlinks=True):
-        above = os.path.realpath(parent)
-        folders[:] = [
-            name for name in folders if not name.startswith(".") and not _leads_above(os.path.join(parent, name), above)
-        ]
-        yield from (Path(parent, name) for name in names if not name.startswith("."))
-
-
-def _leads_above(path: str, above: str) -> bool:
-    return os.path.islink(path) and os.path.commonpath([real := os.path.realpath(path), above]) == real

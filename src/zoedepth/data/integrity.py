@@ -70,11 +70,11 @@ def most_broken(n: int) -> int:
     return max(1, int(MOST_BROKEN * n))
 
 
-def named(messages: Iterable[str], most: int = 10) -> str:
-    """Name what is broken in one line a message, of many only the first."""
+def named(messages: Iterable[str], most: int = 5) -> str:
+    """Name what is broken, of many only the first."""
     lines = list(messages)
-    more = [f"and {len(lines) - most:,} more"] if len(lines) > most else []
-    return "\n".join(f"    {line}" for line in [*lines[:most], *more])
+    more = [f"and {len(lines) - most:,} more, which zoedepth data check lists"] if len(lines) > most else []
+    return "; ".join([*lines[:most], *more])
 
 
 def _suspicious(pair: Any, *, paired: bool) -> bool:

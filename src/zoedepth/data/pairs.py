@@ -89,7 +89,9 @@ class PairDataset(Dataset[Sample]):
         if found is None and find_layout(path):
             self._root = path
             self.path = path
-            self.pairs = find_pairs(path, split=split, defaults=defaults, allow_missing=allow_missing)
+            self.pairs = find_pairs(
+                path, split=split, defaults=defaults, allow_missing=allow_missing, keep_missing=keep_missing
+            )
         else:
             self.path = found or path / f"{split}.csv"
             if not self.path.is_file():

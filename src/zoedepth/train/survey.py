@@ -91,8 +91,8 @@ def survey(
             samples.append(sample)
     if len(unreadable) == len(places) or len(unreadable) > most_broken(len(places)):
         raise InputError(
-            f"{len(unreadable)} of the {len(places)} pairs of {name} that were looked at cannot be read:\n"
-            f"{named(unreadable.values())}\nMend or remove them"
+            f"{len(unreadable)} of the {len(places)} pairs of {name} that were looked at cannot be read: "
+            f"{named(unreadable.values())}. Mend or remove them"
         )
     found = Doubts() if trusted else doubts(glances, max_depth=getattr(data, "max_depth", None))
     mark = found.mark if found.mark is not None and found.mark.certain else None

@@ -86,7 +86,7 @@ class Tolerant(Dataset[Sample]):
 def too_many(name: str, problems: Mapping[int, str], n: int) -> str:
     """Return the message for data of which too much is broken."""
     return (
-        f"{len(problems):,} of {n:,} pairs of {name} cannot be read, more than a tenth:\n{named(problems.values())}\n"
+        f"{len(problems):,} of {n:,} pairs of {name} cannot be read, more than a tenth: {named(problems.values())}. "
         "Mend them, or remove them from the data"
     )
 
