@@ -177,7 +177,7 @@ def test_folder_without_a_list_has_no_use_for_a_root(folder: Path, tmp_path: Pat
 def test_portable_maps_in_a_folder(tmp_path: Path, suffix: str) -> None:
     for half in ("rgb", "depth"):
         (tmp_path / half).mkdir()
-    Image.new("RGB", (2, 1)).save(tmp_path / "rgb" / "a.jpg")
+    Image.new("RGB", (2, 1), "grey").save(tmp_path / "rgb" / "a.jpg")
     content = {
         ".pfm": b"Pf\n2 1\n-1\n" + np.array([0.5, 2], "<f4").tobytes(),
         ".pgm": b"P5 2 1 4095 " + np.array([500, 2000], ">u2").tobytes(),

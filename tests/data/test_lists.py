@@ -17,7 +17,7 @@ GOOD = {"image": "photo.jpg", "depth": "depth.png", "depth_scale": 1000, "domain
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A photo of one by two pixels, and its depth: 500 and 2000."""
-    Image.new("RGB", (2, 1)).save(tmp_path / "photo.jpg")
+    Image.new("RGB", (2, 1), "grey").save(tmp_path / "photo.jpg")
     Image.fromarray(np.array([[500, 2000]], np.uint16)).save(tmp_path / "depth.png")
     return tmp_path
 
