@@ -2,8 +2,10 @@
 
 import errno
 import io
+import os
 import subprocess
 import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -206,6 +208,29 @@ def test_letters_that_a_code_page_does_not_have_become_escapes(
     text = written.getvalue()
     assert (b"\\u5ba2" if encoding != "utf-8" else "客".encode()) in text
     assert (b"caf\xe9" if (encoding, errors) == ("utf-8", "surrogateescape") else b"caf\\udce9") in text
+
+
+def test_another_encoding_than_utf8_starts_python_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr(os, "execv", lambda _, words: started.append(words))
+    monkeypatch.setattr(sys, "argv", ["zoedepth", "--version"])
+    monkeypatch.setattr(sys, "orig_argv", ["python", "/bin/zoedepth", "--version"])
+    assert main() == 0
+    assert started == []
+    monkeypatch.setattr(sys, "getfilesystemencoding", lambda: "ascii")
+    assert main() == 0
+    assert started == [[sys.executable, "-X", "utf8", "/bin/zoedepth", "--version"]]
+
+
+def test_user_without_a_home_has_a_place_for_downloads(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    monkeypatch.delenv("TORCH_HOME", raising=False)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    assert main(["models"]) == 0
+    assert capsys.readouterr().out.rstrip().splitlines()[-1].strip().startswith(tempfile.gettempdir())
+    assert os.environ["XDG_CACHE_HOME"].startswith(tempfile.gettempdir()), "other libraries use it, too"
 
 
 def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

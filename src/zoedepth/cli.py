@@ -139,7 +139,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     141: whoever read our output has stopped reading, as ``| head`` does.
     """
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None:
+        _speak_utf8()
+        arguments = sys.argv[1:]
+    arguments = list(arguments)
     name = " ".join(["zoedepth", *(word for word in arguments[:1] if word in COMMANDS)])
     for stream in (sys.stdout, sys.stderr):
         _accept_all_letters(stream)
@@ -205,6 +208,12 @@ def _give_a_cache() -> None:
         from zoedepth.download import cache_home
 
         os.environ["XDG_CACHE_HOME"] = str(cache_home())
+
+
+def _speak_utf8() -> None:
+    """Start anew in Python's UTF-8 mode where the locale has another encoding: names and texts would be garbled."""
+    if os.name == "posix" and sys.getfilesystemencoding() != "utf-8":
+        os.execv(sys.executable, [sys.executable, "-X", "utf8", *sys.orig_argv[1:]])
 
 
 def _accept_all_letters(stream: object) -> None:

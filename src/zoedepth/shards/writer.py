@@ -1,7 +1,6 @@
 """Write samples as shards: the samples stay the same bit for bit, and each shard is written whole or not at all."""
 
 import hashlib
-import json
 import re
 import tarfile
 from collections.abc import Callable, Iterable, Iterator
@@ -32,7 +31,7 @@ from zoedepth.images import (
 )
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index
 from zoedepth.shards.members import MAX_SAMPLE, pack
-from zoedepth.stored import Memory
+from zoedepth.stored import Memory, to_json
 
 SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
 """Stored values of one metre that are tried, to store depth as whole numbers; 5000 is TUM's."""
@@ -195,7 +194,7 @@ def _pack_target(sample: Sample, scale: float | None) -> dict[str, bytes]:
         members[f"{sample.kind}.npz"] = _npz(target)
     if not np.array_equal(known, target > 0):
         members["mask.png"] = _png(known.astype(np.uint8) * 255)
-    return members | {"json": json.dumps(about, sort_keys=True).encode()}
+    return members | {"json": to_json(dict(sorted(about.items()))).encode()}
 
 
 def _png(values: np.ndarray) -> bytes:

@@ -1,6 +1,7 @@
 """Tell whether a run's checkpoints belong to this data and these starting weights: their state when it began."""
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def _weights(file: Path) -> str:
 
 def _add(digest: "hashlib._Hash", files: Iterable[Path]) -> None:
     for state in _states(files):
-        digest.update(state.encode())
+        digest.update(os.fsencode(state))  # names need not be UTF-8
 
 
 def _states(files: Iterable[Path]) -> Iterator[str]:
