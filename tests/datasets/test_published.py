@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.datasets.base import write_photo
 
 from zoedepth.datasets.published import MAX_LIST, About, PairFiles, PublishedDataset
@@ -99,3 +100,30 @@ def test_pattern_without_a_match_is_an_error_that_names_it(attic: Path) -> None:
     assert dataset.find("*.png") == [attic / f"{number}.png" for number in (1, 2, 3)]
     with pytest.raises(InputError, match=r"there is no \*\.jpg in"):
         dataset.find("*.jpg")
+
+
+@pytest.mark.parametrize(
+    ("orientation", "size", "word"),
+    [
+        (3, (4, 6), "1.png is turned upright by its EXIF orientation 3, and nothing says whether .*d is, too"),
+        (6, (6, 6), "EXIF orientation 6, and nothing says"),
+        (6, (4, 6), r"1\.png is \(6, 4\) and .*d is \(2, 3\) \(height, width\): one of them lies on its side"),
+        (1, (6, 4), "one of them lies on its side"),
+    ],
+)
+def test_photo_that_may_lie_unlike_its_depth_is_an_error(
+    attic: Path, orientation: int, size: tuple[int, int], word: str
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    write_photo(attic / "1.png", size)
+    with Image.open(attic / "1.png") as photo:
+        photo.load()
+    photo.save(attic / "1.png", exif=exif)
+    with pytest.raises(InputError, match=word):
+        Attic(attic, split="test")[0]
+
+
+def test_square_photo_of_oblong_depth_is_only_squeezed(attic: Path) -> None:
+    write_photo(attic / "1.png", (6, 6))
+    assert Attic(attic, split="test")[0].image.shape == (3, 2, 3)

@@ -12,10 +12,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float32
 from torch.utils.data import Dataset
 
+from zoedepth.data.fit import says_how_it_lies
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.images import ImageArray, read_image
+from zoedepth.images import ImageArray, read_image_with_orientation
 from zoedepth.stored import read_text
 
 MAX_LIST = 1 << 26
@@ -118,8 +119,18 @@ class PublishedDataset(Dataset[Sample], ABC):
         """Return (metres or disparity, where it is known) for a pair with a target. Unknown values may be anything."""
 
     def read_photo(self, pair: PairFiles) -> ImageArray:
-        """Read the photo of a pair."""
-        return read_image(pair.image)
+        """Read the photo of a pair.
+
+        Raises:
+            InputError: it is missing or damaged, or EXIF turns it upside down, and perhaps not its target.
+        """
+        photo, orientation = read_image_with_orientation(pair.image)
+        if not says_how_it_lies(photo.shape[:2], orientation):
+            raise InputError(
+                f"{pair.image} is turned upright by its EXIF orientation {orientation}, and nothing says whether "
+                f"{pair.target} is, too. Save it without the orientation, so that both lie alike"
+            )
+        return photo
 
     def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
         """Return the camera of a pair's photo at the photo's ``size`` (height, width); None where it is not known."""
@@ -136,7 +147,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         """Read one pair; a photo larger or smaller than its target is resized to it.
 
         Raises:
-            InputError: a file is missing or damaged.
+            InputError: a file is missing or damaged, or photo and target do not lie alike.
         """
         pair = self.pairs[index]
         photo = self.read_photo(pair)
@@ -148,6 +159,11 @@ class PublishedDataset(Dataset[Sample], ABC):
         camera = self.read_camera(pair, size)
         pixels = torch.tensor(photo).permute(2, 0, 1).float() / 255
         if target.shape != size:
+            if _lies_across(size, target.shape):
+                raise InputError(
+                    f"{pair.image} is {size} and {pair.target} is {target.shape} (height, width): one of them lies on "
+                    "its side, perhaps because EXIF turns the photo. Get the original files"
+                )
             pixels = F.interpolate(pixels[None], target.shape, mode="bilinear", antialias=True)[0].clamp(0, 1)
             camera = camera and camera.scaled(target.shape[0] / size[0], target.shape[1] / size[1])
         return Sample(
@@ -215,3 +231,9 @@ class PublishedDataset(Dataset[Sample], ABC):
         """Return an error message: what is wrong, what the folder should look like, and where to get the data."""
         layout = "\n".join(f"    {line}" for line in self.about.layout.strip().splitlines())
         return f"{self.about.title}: {problem}. Expected:\n{layout}\nGet it at {self.about.page}"
+
+
+def _lies_across(photo: tuple[int, int], target: tuple[int, ...]) -> bool:
+    """Return True if one of two sizes (height, width) is clearly upright and the other lies on its side."""
+    (height, width), (h, w) = photo, target
+    return (height - width) * (h - w) < 0 and not 0.8 < height * w / (width * h) < 1.25
