@@ -1,6 +1,6 @@
 """The batches of a training depend on the seed and the step alone, and are shared among processes."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from zoedepth.data.sample import Batch
+from zoedepth.errors import InputError
 from zoedepth.train.batches import Batches, load_batches
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import load_sources
@@ -126,3 +127,13 @@ def test_closed_batches_are_at_their_end(make_config: MakeConfig, data: Data) ->
     batches = Batches([batch] * 2)
     batches.close()
     assert list(batches) == []
+
+
+def test_an_error_of_a_process_that_reads_is_one_line() -> None:
+    def fail() -> Iterator[Batch]:
+        raise RuntimeError("Caught ValueError in process 1.\nTraceback (most recent call last):\nValueError: no disk\n")
+        yield
+
+    with pytest.raises(InputError) as raised:
+        next(Batches(fail()))
+    assert str(raised.value) == "samples cannot be read: ValueError: no disk"

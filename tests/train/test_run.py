@@ -3,12 +3,13 @@
 import os
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 from tests.folders import write_pairs
-from tests.train.runs import assert_same_checkpoint
+from tests.train.runs import assert_same_checkpoint, weights_of
 
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
@@ -116,6 +117,44 @@ def test_an_error_that_nobody_foresaw_saves_the_last_step(
     assert [path.name for path in checkpoints(tmp_path / "out")] == ["step_000001"]
     monkeypatch.undo()
     assert_same_checkpoint(whole, train_metric(config, data=data, out=tmp_path / "out", init=None))
+
+
+def test_broken_samples_are_skipped_and_named_whenever_they_are_found(
+    make_config: Callable[..., TrainConfig], tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A run that met the damage on its way, and was interrupted, equals one that had looked at all files before."""
+    rooms = write_pairs(tmp_path / "rooms", n=6, size=(64, 64))
+    photo = rooms.parent / "image/train_003.jpg"
+    photo.write_bytes(photo.read_bytes()[:400])
+    config = make_config(steps=5, pictures=0, holdout=1, validate_every=100)
+    looked = train_metric(config, data={"indoor": rooms}, out=tmp_path / "looked", init=None)
+    assert f"skipped: {photo}" in capsys.readouterr().err.replace("\n", "")
+    blind = replace(config, check="off")
+    monkeypatch.setattr(metric, "report", lambda run, *rest: report(run, *rest) if run.state.step != 3 else 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train_metric(blind, data={"indoor": rooms}, out=tmp_path / "blind", init=None)
+    monkeypatch.undo()
+    met = train_metric(replace(blind, n_workers=1), data={"indoor": rooms}, out=tmp_path / "blind", init=None)
+    assert f"skipped: {photo}" in capsys.readouterr().err.replace("\n", "")
+    first, second = weights_of(looked), weights_of(met)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert (looked / "model.safetensors").read_bytes() == (met / "model.safetensors").read_bytes()
+
+
+def test_too_many_broken_samples_end_the_run_with_its_last_step_saved(
+    make_config: Callable[..., TrainConfig], tmp_path: Path
+) -> None:
+    rooms = write_pairs(tmp_path / "rooms", n=6, size=(64, 64))
+    for index in (0, 1, 2):
+        (rooms.parent / f"image/train_{index:03d}.jpg").write_bytes(b"")
+    config = make_config(steps=5, pictures=0, batch_size=6)
+    with pytest.raises(InputError, match=r"3 of 6 pairs of \S*train\.csv cannot be read"):
+        train_metric(config, data={"indoor": rooms}, out=tmp_path / "looked", init=None)
+    assert not (tmp_path / "looked").exists()
+    with pytest.raises(InputError, match="3 of 6 pairs of indoor cannot be read"):
+        train_metric(replace(config, check="off"), data={"indoor": rooms}, out=tmp_path / "blind", init=None)
+    assert [path.name for path in checkpoints(tmp_path / "blind")] == ["step_000001"]
 
 
 def test_no_checkpoint_of_a_half_changed_model_and_none_twice(start_run: StartRun) -> None:
