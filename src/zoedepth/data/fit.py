@@ -33,7 +33,7 @@ def check_fit(size: Size, found: Size, *, names: tuple[object, object], orientat
     Args:
         size: (height, width) of the photo when it stands upright.
         found: (height, width) of the map.
-        names: of the photo and of the map, for the message.
+        names: the photo and the map, for the message.
         orientation: the EXIF orientation by which the photo was turned.
 
     Raises:

@@ -35,7 +35,7 @@ class _Half:
         self.files: dict[str, Path] = {}
         """Path without suffix, relative to the folder → file; sorted."""
         self.others: dict[str, Path] = {}
-        """The same for files of other suffixes."""
+        """Files of other suffixes, in the same way."""
         listing = list_files(folder)
         for unread, reason in listing.unreadable.items():
             raise InputError(f"{unread} cannot be read: {reason}")

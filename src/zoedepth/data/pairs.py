@@ -1,19 +1,20 @@
 """Photos with depth as files: the formats for your own data.
 
-A list, with paths relative to it. CSV has one line a pair::
+A list, with paths relative to its folder or to another. CSV has one line a pair::
 
     image,depth,depth_scale,domain
     image/0001.jpg,depth/0001.png,1000,indoor
 
-``depth`` is a 16-bit PNG, metres = value / ``depth_scale``, 0 where unknown; or an .npy, .npz, .exr or .tiff, where
-floating point is metres and needs no ``depth_scale``. A PNG that this package wrote says its own scale.
+``depth`` is a 16-bit PNG or PGM, metres = value / ``depth_scale``, 0 where unknown; or an .npy, .npz, .exr, .tiff or
+.pfm, where floating point is metres and needs no ``depth_scale``. A PNG that this package wrote says its own scale.
 ``disparity`` in place of ``depth`` is inverse depth up to an unknown scale and shift, for stage 1, where the domain may
 be left out. Two more are optional: ``mask`` (a PNG, not zero where the target is valid) and ``fx,fy,cx,cy`` (the camera
 at the size of the photo, pixels; the centre of the top left pixel is at (0, 0)). Other columns are ignored.
 
 JSON Lines (.jsonl) has an object with the same keys in each line; ``rgb`` may stand for ``image``, and ``cam_in`` for
-the list [fx, fy, cx, cy]. The text lists of BTS (.txt) have lines ``photo depth focal``. Folders need no list at all,
-see ``zoedepth.data.folders.find_pairs``.
+the list [fx, fy, cx, cy]. Text lists (.txt) have lines ``photo depth focal`` or ``time photo time depth``. Folders need
+no list at all, see ``zoedepth.data.folders.find_pairs``. ``zoedepth.data.tables``, ``text_lists`` and ``names`` tell
+what is read as what.
 
 Facts that hold for all pairs may stand once in ``dataset.json`` beside the list or in the folder:
 ``{"depth_scale": 1000, "domain": "indoor"}``, also with ``fx`` to ``cy``.
@@ -52,7 +53,8 @@ class PairDataset(Dataset[Sample]):
     """The pairs of a list or a folder, each as a ``Sample`` at its own size.
 
     Args:
-        path: a list (.csv, .jsonl, .txt), a folder with a list named after the split, or a folder of pairs without one.
+        path: a list (.csv, .tsv, .jsonl, .txt), a folder with a list named after the split, or a folder of pairs
+            without one.
         split: name of the list without suffix, or of the folders below those of photos and depth.
         allow_missing: accept a photo without depth ("None" in a list) as one without truth, as KITTI's test list has
             them; otherwise it is an error, because nothing can be learned from it.
