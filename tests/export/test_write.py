@@ -131,11 +131,11 @@ def test_a_file_with_other_depth_is_refused_and_removed(
             bias.copy_(before)
 
     monkeypatch.setattr(zoedepth.export.write, "_write_onnx", spoiled)
-    (tmp_path / "model.onnx").write_text("earlier")
+    (tmp_path / "model.onnx").write_text("an earlier export of zoedepth")
     with pytest.raises(ExportError, match="gives other depth than torch"):
         export_model(model, tmp_path / "model.onnx", to="onnx")
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
-    assert (tmp_path / "model.onnx").read_text() == "earlier"
+    assert (tmp_path / "model.onnx").read_text() == "an earlier export of zoedepth"
 
 
 def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(tiny_config: ModelConfig, tmp_path: Path):

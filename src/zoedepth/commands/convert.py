@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
 
 
@@ -34,9 +35,13 @@ def convert(
     """
     from zoedepth.commands.progress import download_progress
     from zoedepth.presets import with_compat
-    from zoedepth.weights.checkpoint import read_checkpoint, write_checkpoint
+    from zoedepth.weights.checkpoint import check_target, read_checkpoint, write_checkpoint
     from zoedepth.weights.load import find, model_of
 
+    check_target(target, to=to)
+    if target.is_file():
+        raise InputError(f"{target} is there already: give another name, or remove it first")
+    check_writable(target.parent, option="target")
     with download_progress() as progress:
         path = find(source, progress=progress)
     checkpoint = read_checkpoint(path)

@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
+from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
+from zoedepth.stored import to_json
 
 MAX_CALIBRATION = 300
 """Largest number of photos that int8 is calibrated on."""
@@ -22,6 +24,7 @@ def export(
     calibrate: Path | None = None,
     size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="HEIGHT WIDTH")] = None,
     compat: tuple[str, ...] = (),
+    json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Write a model for another program, then run the file and check that the depth is the same.
 
@@ -35,11 +38,20 @@ def export(
         calibrate: folder of photos like those that the model will see; int8 needs it and uses at most 300 of them.
         size: height and width of a torch-export, multiples of 32; without it, the model's.
         compat: see `zoedepth predict`.
+        json_: print one JSON object instead of the name: files, format, int8, difference (the largest median relative
+            difference to torch's depth), licence and trained_on.
     """
     from zoedepth.commands.progress import download_progress
-    from zoedepth.export.write import SUFFIXES, export_model
+    from zoedepth.export.write import SUFFIXES, check_wish, export_model
     from zoedepth.weights.load import load_model
 
+    name = Path(model).stem + ("-int8" if int8 else "")
+    path = out or Path(name + SUFFIXES[to])
+    # What is wrong with the wish is said before a model is downloaded.
+    check_wish(path, to=to, int8=int8, size=size)
+    check_writable(path.parent)
+    if calibrate is not None and not int8:
+        raise InputError("--calibrate is for --int8 only: add --int8, or leave it out")
     photos = []
     if calibrate is not None:
         photos = [path for path in sorted(calibrate.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES]
@@ -48,13 +60,19 @@ def export(
         photos = photos[:: -(-len(photos) // MAX_CALIBRATION)]  # evenly spread over the folder
     if int8 and not photos:
         raise InputError("--int8 needs --calibrate FOLDER, a folder of photos like those the model will see")
-    name = Path(model).stem + ("-int8" if int8 else "")
-    path = out or Path(name + SUFFIXES[to])
     with download_progress() as progress:
         network = load_model(model, compat=compat, progress=progress)
     console = Console(stderr=True, highlight=False)
     with console.status(f"writing and checking {path.name}"):
         difference = export_model(network, path, to=to, int8=int8, photos=photos, size=size)
     console.print(f"depth differs from torch's by {difference:.1e} of itself (largest median of the check)")
-    print(path)
+    if json_:
+        files = [path, path.with_suffix(".bin")] if to == "openvino" else [path]
+        about = network.provenance
+        print(to_json({
+            "files": list(map(str, files)), "format": to, "int8": int8, "difference": difference,
+            "licence": about.licence, "trained_on": about.trained_on,
+        }))  # fmt: skip
+    else:
+        print(path)
     return 0

@@ -3,14 +3,15 @@
 import json
 import logging
 import math
+import mmap
 import os
 import shutil
 import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from importlib.util import find_spec
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,7 +27,7 @@ from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.pixels import resize_pixels
 from zoedepth.sizes import network_size
-from zoedepth.weights.exported import METADATA, load_exported
+from zoedepth.weights.exported import METADATA, ExportedModel, load_exported
 from zoedepth.weights.openvino_graph import make_products_unsigned
 from zoedepth.weights.tensors import DOMAIN, INPUT, Exported
 
@@ -61,28 +62,30 @@ def export_model(
         to: onnx, openvino or torch-export.
         int8: compute products of encoder and decoder in 8-bit integers (OpenVINO); heads and router stay in float32.
         photos: photos to calibrate int8 on; a few hundred like those that the model will see.
-        size: (height, width) of a torch-export; None: the model's.
+        size: (height, width) of a torch-export, whose size is fixed; None: the model's.
 
     Returns:
         The largest median relative difference of the check.
 
     Raises:
-        InputError: the model cannot be exported (see ``ExportModel``), the suffix or size is wrong, or int8 is asked
-            for without photos or in another format.
+        InputError: the model cannot be exported (see ``ExportModel``), the size is wrong, the disk is full, or what
+            ``check_wish`` refuses.
         ExportError: the exported depth differs; nothing is left behind.
         MissingExtraError: the format's library is not installed.
     """
     path = Path(path)
-    _check_request(model, path, to=to, int8=int8, photos=photos, size=size)
+    check_wish(path, to=to, int8=int8, calibrated=bool(photos), size=size)
+    _check_model(model, to=to, size=size)
     wrapped = ExportModel(model).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
+    _check_room(model, path.parent)
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".export-") as name:
         part = Path(name) / path.name
-        _require(to, int8=int8)
         try:
-            difference = _write(
-                model, wrapped, part, to=to, photos=photos if int8 else (), size=size or model.config.size
-            )
+            with _without_chatter():
+                difference = _write(
+                    model, wrapped, part, to=to, photos=photos if int8 else (), size=size or model.config.size
+                )
         except RuntimeError as error:  # the errors of all exporters are kinds of it
             raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
         for file in sorted(part.parent.iterdir()):  # .bin before .xml, which needs it
@@ -90,20 +93,68 @@ def export_model(
     return difference
 
 
-def _check_request(
-    model: DepthModel,
-    path: Path,
-    *,
-    to: Format,
-    int8: bool,
-    photos: Sequence[str | Path],
-    size: tuple[int, int] | None,
+def check_wish(
+    path: Path, *, to: Format, int8: bool = False, calibrated: bool = True, size: tuple[int, int] | None = None
 ) -> None:
-    """Refuse what cannot be written, see ``export_model``."""
+    """Refuse what cannot be written whatever the model is, before one is loaded.
+
+    Args:
+        path: file to write.
+        to: onnx, openvino or torch-export.
+        int8: see ``export_model``.
+        calibrated: False if there are no photos to calibrate int8 on.
+        size: see ``export_model``.
+
+    Raises:
+        InputError: the suffix is wrong, the file is there and is not an export, int8 is asked for without photos or in
+            another format, or a size in another format than torch-export.
+        MissingExtraError: the format's library is not installed.
+    """
     if path.suffix != SUFFIXES[to]:
         raise InputError(f"a file of {to} ends with {SUFFIXES[to]}: give another name than {path.name}")
-    if int8 and (to != "openvino" or not photos):
-        raise InputError("int8 is for openvino only, and needs photos to calibrate on: give to='openvino' and photos")
+    _check_target(path)
+    if int8 and to != "openvino":
+        raise InputError(f"int8 is for openvino only, not for {to}: export to openvino, or leave int8 out")
+    if int8 and not calibrated:
+        raise InputError("int8 needs photos to calibrate on, like those the model will see: give a folder of them")
+    if size is not None and to != "torch-export":
+        raise InputError(f"a file of {to} takes any size: leave the size out, which is for torch-export")
+    needed = {"onnx": ("onnx", "onnxruntime"), "openvino": ("onnx", "openvino"), "torch-export": ()}[to]
+    for module in (*needed, *(("nncf",) if int8 else ())):
+        if find_spec(module) is None:
+            raise MissingExtraError(to, f"export to {to}")
+
+
+def _check_target(path: Path) -> None:
+    """Refuse to replace a file that no export has written, or the .bin file of something else."""
+    weights = path.with_suffix(".bin")
+    if path.suffix == SUFFIXES["openvino"] and weights.exists() and not path.exists():
+        raise InputError(
+            f"{weights} is there already, and OpenVINO would replace it: give another name than {path.name}"
+        )
+    if not path.exists():
+        return
+    if path.is_file() and path.stat().st_size:
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            if content.find(METADATA.encode()) >= 0:  # the key of the metadata, which no format compresses
+                return
+    raise InputError(f"{path} is there already, and is not an export of zoedepth: give another name, or move it away")
+
+
+def _check_room(model: DepthModel, folder: Path) -> None:
+    """Refuse a disk that has no room for the weights, twice: for the file, and for the one it is made from."""
+    needed = 2 * sum(weight.numel() * weight.element_size() for weight in model.parameters())
+    if (free := shutil.disk_usage(folder).free) < needed:
+        raise InputError(
+            f"the disk of {folder} has {free:,} bytes free, and the export needs about {needed:,}: make room, or write "
+            "to another place"
+        )
+
+
+def _check_model(model: DepthModel, *, to: Format, size: tuple[int, int] | None) -> None:
+    """Refuse models that cannot be written, see ``export_model``."""
+    if isinstance(model, ExportedModel):
+        raise InputError("the model is an exported file already: export the model that it was made from")
     if model.training:
         raise InputError("the model is in training mode: call model.eval() first")
     config = model.config
@@ -114,6 +165,8 @@ def _check_request(
     parts = config.head if isinstance(config, ModelConfig) else config.network
     if to != "torch-export" and isinstance(parts, NewCrfsConfig | NewCrfsNetworkConfig):
         raise InputError("NeWCRFs cuts a photo into windows by its size, which fits torch-export only: export to that")
+    if model.dtype != torch.float32:
+        raise InputError(f"the weights are {model.dtype}, and exports compute in float32: call model.float() first")
     if model.device.type != "cpu":
         raise InputError("the model is on another device than the CPU, where the check runs: call model.cpu() first")
 
@@ -141,17 +194,9 @@ def _write(
     return _check_int8(model, path, photos) if photos else _check(model, path)
 
 
-def _require(to: Format, *, int8: bool) -> None:
-    """Refuse if a library is missing, before minutes are spent."""
-    needed = {"onnx": ("onnx", "onnxruntime"), "openvino": ("onnx", "openvino"), "torch-export": ()}[to]
-    for module in (*needed, *(("nncf",) if int8 else ())):
-        if find_spec(module) is None:
-            raise MissingExtraError(to, f"export to {to}")
-
-
 def metadata(model: DepthModel) -> str:
     """Return as JSON what a program must know to prepare photos and to read the depth."""
-    config = model.config
+    config, about = model.config, model.provenance
     return json.dumps({
         "config": to_dict(config),
         "preprocessing": {
@@ -165,6 +210,8 @@ def metadata(model: DepthModel) -> str:
         "postprocessing": "resize predicted_depth to the photo: bicubic; mean with the mirrored photo's, mirrored back",
         "unit": "metre",
         "domains": [domain.name for domain in config.domains],
+        "licence": about.licence,
+        "trained_on": about.trained_on,
         "zoedepth": __version__,
     })  # fmt: skip
 
@@ -219,6 +266,19 @@ def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence
             converted = _quantized(model, converted, photos)
     converted.set_rt_info(metadata(model), METADATA)
     openvino.save_model(converted, path, compress_to_fp16=False)
+
+
+@contextmanager
+def _without_chatter() -> Iterator[None]:
+    """Hide what exporters print, warn of and log: bars of NNCF on standard output, and advice to their authors."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings(), redirect_stdout(StringIO()):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
 
 
 @contextmanager

@@ -29,6 +29,7 @@ from zoedepth.train.state import check_same, checkpoints
 from zoedepth.train.survey import Survey, survey
 from zoedepth.train.tolerant import too_many
 from zoedepth.weights.card import model_card
+from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import load_model, save_model
 
 RESULTS = ("model.safetensors", "README.md", "metrics.json", "data.jpg")
@@ -94,6 +95,8 @@ def plan(
                 "pairs, or give a smaller --holdout"
             )
     model = load_model(init)
+    if is_exported(init):
+        raise InputError(f"{init} is an exported file, which cannot be trained: give what it was exported from")
     if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
         raise InputError(
             f"{init} is a baseline, which cannot be fine-tuned this way: train it with its recipe (zoedepth train "

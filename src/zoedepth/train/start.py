@@ -9,6 +9,7 @@ from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import load_model, misfits
 
 IMAGENET = "imagenet"
@@ -36,6 +37,8 @@ def start_from(model: DepthModel, source: str | None) -> str:
     if source == IMAGENET:
         _load_imagenet(model)
         return f"ImageNet weights of {model.config.encoder_name}, the rest random"
+    if is_exported(source):
+        raise InputError(f"{source} is an exported file, which cannot be trained: give what it was exported from")
     other = load_model(source)
     model.provenance = other.provenance
     if other.config == model.config:

@@ -63,6 +63,8 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         InputError: there is no such file, it cannot be read, its layout is unknown, or its config is missing.
     """
     path = Path(path)
+    if path.suffix.lower() in (".onnx", ".xml"):
+        raise InputError(f"{path} is an exported model, whose weights are in no layout: give what it was exported from")
     folder, file = (path, _weights_in(path)) if path.is_dir() else (path.parent, path)
     if not file.is_file():
         raise InputError(f"there is no file {file}")
@@ -179,10 +181,9 @@ def write_checkpoint(
             licence drops that the weights are non-commercial.
     """
     path, (config, weights, *_) = Path(path), checkpoint
+    check_target(path, to=to)
     provenance = checkpoint.provenance.with_licence(licence)
     if to == "original":
-        if path.suffix not in (".pt", ".pth"):
-            raise InputError(f"{path}: the original's layout is a file: give a name that ends with .pt")
         theirs = original.write(_zoedepth(config, to), weights)
         with atomic_path(path) as part:
             torch.save({"model": theirs, "optimizer": None, "epoch": 0, "about": provenance.to_texts()}, part)
@@ -191,8 +192,6 @@ def write_checkpoint(
         with atomic_path(path) as part:
             _save(weights, part, config, provenance)
         return path
-    if path.suffix in (".pt", ".pth", ".safetensors"):
-        raise InputError(f"{path}: the {to} layout is a folder: give a name that does not end with {path.suffix}")
     if to == "huggingface":
         model = _zoedepth(config, to)
         theirs = huggingface.write(model, weights)
@@ -212,6 +211,24 @@ def write_checkpoint(
         )  # fmt: skip
         (part / CARD).write_text(card, encoding="utf-8")
     return path
+
+
+def check_target(path: Path, *, to: Layout) -> None:
+    """Refuse names that a layout cannot be written to, before anything is read.
+
+    Raises:
+        InputError: the suffix belongs to another layout, or the folder exists.
+    """
+    file = to == "original" or (to == "zoedepth" and path.suffix == ".safetensors")
+    if to == "original" and path.suffix not in (".pt", ".pth"):
+        raise InputError(f"{path}: the original's layout is a file: give a name that ends with .pt")
+    if not file and path.suffix in (".pt", ".pth", ".safetensors"):
+        raise InputError(f"{path}: the {to} layout is a folder: give a name that does not end with {path.suffix}")
+    # Neither the folder we are in (its path "." has no name) nor a link is replaced.
+    if not file and (
+        path.is_symlink() or (path.exists() and (not path.name or not path.is_dir() or any(path.iterdir())))
+    ):
+        raise InputError(f"{path} is there already: give another name, or remove it first")
 
 
 def _zoedepth(config: AnyModelConfig, to: Layout) -> ModelConfig:
@@ -241,9 +258,6 @@ def _save(weights: Mapping[str, Tensor], path: Path, config: AnyModelConfig | No
 @contextmanager
 def _new_folder(path: Path) -> Iterator[Path]:
     """Give a temporary folder that becomes ``path`` at the end, or vanishes when something fails."""
-    # Neither the folder we are in (its path "." has no name) nor a link is replaced.
-    if path.is_symlink() or (path.exists() and (not path.name or not path.is_dir() or any(path.iterdir()))):
-        raise InputError(f"{path} is there already: give another name, or remove it first")
     part = path.with_name(f".{path.name}.{uuid4().hex[:8]}.part")
     part.mkdir(parents=True)
     try:

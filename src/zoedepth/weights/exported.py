@@ -3,6 +3,7 @@
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from threading import Lock
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from torch import Tensor
 from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel, DepthOutput
+from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
 from zoedepth.weights.openvino_graph import specialized
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
@@ -29,13 +31,21 @@ class ExportedModel(DepthModel):
 
     def __init__(self, metadata: str | None, path: Path) -> None:
         super().__init__()
-        self.config = _config(metadata, path)
+        self.config, self.provenance = _read_metadata(metadata, path)
         self.eval()
 
     @property
     def device(self) -> torch.device:
         """Return the CPU: pixels and depth are there, wherever the runtime computes."""
         return torch.device("cpu")
+
+    def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
+        """Refuse: exported files hold metres only.
+
+        Raises:
+            InputError: always.
+        """
+        raise InputError("an exported model has no relative depth: use the model that it was exported from")
 
     @abstractmethod
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
@@ -79,6 +89,7 @@ class OnnxModel(ExportedModel):
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
         self.path = path
+        self.path, self.threads = path, threads
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
@@ -94,6 +105,10 @@ class OnnxModel(ExportedModel):
             raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}. Export the model again") from error
         self.names = [output.name for output in self.session.get_outputs()]
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Load the file again where the model is copied or unpickled: a session cannot be sent to a process."""
+        return partial(load_exported, threads=self.threads), (self.path.absolute(),)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name; see ``ExportedModel``."""
@@ -119,6 +134,7 @@ class OpenVinoModel(ExportedModel):
         except ModuleNotFoundError as error:
             raise MissingExtraError("openvino", "running an OpenVINO file") from error
         self.path = path
+        self.options: dict[str, Any] = {"precision": precision, "threads": threads, "streams": streams}
         self.core = openvino.Core()
         self.properties = {
             "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
@@ -140,6 +156,10 @@ class OpenVinoModel(ExportedModel):
         self.compiled: dict[tuple[bool, bool], Any] = {}
         """(True for the first shape only, True with the standard deviation) → compiled graph."""
         super().__init__(metadata, path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Load the file again where the model is copied or unpickled: a graph cannot be sent to a process."""
+        return partial(load_exported, **self.options), (self.path.absolute(),)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name; see ``ExportedModel``. Several threads may call it at once."""
@@ -245,13 +265,14 @@ def load_exported(
     raise InputError(f"{path} is not an exported model that can run here: give a .onnx or .xml file")
 
 
-def _config(metadata: str | None, path: Path) -> AnyModelConfig:
+def _read_metadata(metadata: str | None, path: Path) -> tuple[AnyModelConfig, Provenance]:
     if metadata is None:
         raise InputError(f"{path} holds no configuration: it was not made by zoedepth export. Use zoedepth export")
     values = parse_json(metadata, f"the metadata in {path}")
     if "config" not in values:
         raise InputError(f"the metadata in {path} holds no 'config': it was not made by zoedepth export")
+    about = {name: values[name] for name in ("licence", "trained_on") if isinstance(values.get(name), str)}
     try:
-        return model_config_from_dict(values["config"])
+        return model_config_from_dict(values["config"]), from_texts(about)
     except InputError as error:
         raise InputError(f"the configuration in {path} makes no model: {str(error)[:2000]}") from error

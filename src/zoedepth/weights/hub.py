@@ -5,8 +5,10 @@
 no code.
 """
 
+import os
 from pathlib import Path
 
+from zoedepth.download import cache_home
 from zoedepth.errors import InputError
 
 CONFIG = "config.json"
@@ -16,8 +18,18 @@ PREPROCESSOR = "preprocessor_config.json"
 CARD = "README.md"
 """The model card, which says under which licence the weights come."""
 
-_FILE_SUFFIXES = (".safetensors", ".pt", ".pth", ".ckpt", ".bin", ".json", ".onnx")
+_FILE_SUFFIXES = (".safetensors", ".pt", ".pth", ".ckpt", ".bin", ".json", ".onnx", ".xml", ".pt2")
 _LOG_IN = "set HF_TOKEN to your token, or run `hf auth login`"
+
+
+def give_a_home() -> None:
+    """Tell ``huggingface_hub`` where to keep its cache if the user has no home; it would make a folder named "~"."""
+    usual = os.path.expanduser(os.path.join("~", ".cache"))
+    if not {"HF_HOME", "HF_HUB_CACHE", "XDG_CACHE_HOME"} & set(os.environ) and str(cache_home()) != usual:
+        os.environ["HF_HOME"] = str(cache_home() / "huggingface")
+
+
+give_a_home()  # here, because huggingface_hub reads the environment once, when it is first imported
 
 
 def is_hub_id(name: str) -> bool:

@@ -202,6 +202,7 @@ def _check_archive(path: Path, size: int) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
+            _refuse_programs({entry.filename.rpartition("/")[2] for entry in entries}, path)
             # torch never compresses, and a compressed entry could unfold to any size.
             compressed = any(entry.compress_type != zipfile.ZIP_STORED for entry in entries)
             if compressed or sum(entry.file_size for entry in entries) > size:
@@ -227,6 +228,19 @@ def _check_archive(path: Path, size: int) -> None:
             f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {_first_line(error)}). "
             "Download or copy it again"
         ) from error
+
+
+def _refuse_programs(names: set[str], path: Path) -> None:
+    """Refuse archives that hold a program beside the weights."""
+    for name, kind, loader in (
+        ("archive_format", "a torch-export", "torch.export.load"),
+        ("constants.pkl", "a TorchScript", "torch.jit.load"),
+    ):
+        if name in names:
+            raise InputError(
+                f"{path} is {kind}, which can run code: zoedepth does not load it. Load it with {loader} if it is your "
+                "own; or give zoedepth the weights, or an export to onnx or openvino"
+            )
 
 
 def _tensors(saved: object, path: Path, size: int) -> dict[str, Tensor]:
