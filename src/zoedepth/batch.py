@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _OTHER_PICTURES = {
     suffix: advice
     for advice, suffixes in (
-        ("which phones write: pip install pillow-heif, or save them as JPEG", ".heic .heif .hif .heics"),
+        ("which phones write: save them as JPEG, e.g. heif-convert PHOTO.heic PHOTO.jpg", ".heic .heif .hif .heics"),
         ("which are raw: develop them to JPEG or TIFF, e.g. with darktable",
          ".dng .cr2 .cr3 .crw .nef .nrw .arw .sr2 .raf .orf .rw2 .pef .srw .raw .rwl .3fr .iiq .x3f .gpr"),
         ("which are JPEG XL: save them as JPEG", ".jxl"),
@@ -77,7 +77,7 @@ class Found:
     unreadable: dict[str, str] = field(default_factory=dict)
     """Source or folder that could not be read → why."""
     left_out: Counter[str] = field(default_factory=Counter)
-    """What was left out of folders and globs, e.g. "hidden" → how many."""
+    """Reason why files of folders and globs were left out, e.g. "hidden" → how many."""
 
     @property
     def failures(self) -> list[str]:
