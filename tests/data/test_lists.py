@@ -155,6 +155,15 @@ def test_lossy_depth_is_an_error_before_anything_is_read(folder: Path, key: str)
         PairDataset(jsonl(folder, {"image": "photo.jpg", key: "photo.jpg", "depth_scale": 1, "domain": "indoor"}))
 
 
+def test_name_in_other_capitals_is_missing_and_named(folder: Path) -> None:
+    if (folder / "PHOTO.JPG").exists():
+        pytest.skip("capitals do not count here")
+    with pytest.raises(
+        InputError, match=r"first is .*PHOTO\.JPG\. There is photo\.jpg: capital letters count\. Its"
+    ):
+        PairDataset(jsonl(folder, {**GOOD, "image": "PHOTO.JPG"}))
+
+
 class TestElsewhere:
     """Files that are not below the list."""
 

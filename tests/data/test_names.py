@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from zoedepth.data.names import Finder, composed
+from zoedepth.data.names import Finder, composed, other_capitals
 from zoedepth.errors import InputError
 
 COMPOSED, APART = (unicodedata.normalize(form, "Küche") for form in ("NFC", "NFD"))
@@ -47,6 +47,12 @@ def test_absolute_path_inside_the_root_is_inside(tmp_path: Path) -> None:
 def test_path_of_another_system_is_an_error(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="a path of a Windows system"):
         find(tmp_path, name)
+
+
+def test_name_in_other_capitals(tmp_path: Path) -> None:
+    touch(tmp_path, "IMG_1.JPG")
+    assert other_capitals(tmp_path / "img_1.jpg") == tmp_path / "IMG_1.JPG"
+    assert other_capitals(tmp_path / "img_2.jpg") is other_capitals(tmp_path / "none" / "img_1.jpg") is None
 
 
 @pytest.mark.parametrize("name", [3, None, ["a"], True])

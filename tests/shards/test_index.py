@@ -1,10 +1,12 @@
 """The index of shards: read back as written, and refused where it is damaged."""
 
 import json
+import unicodedata
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.shards.samples import PHOTO, png, tar_of
 
 from zoedepth.errors import InputError
 from zoedepth.shards.dataset import ShardDataset
@@ -78,3 +80,11 @@ class TestIndex:
     def test_folder_without_shards(self, tmp_path: Path):
         with pytest.raises(InputError, match=r"no shards"):
             ShardDataset(tmp_path)
+
+
+def test_names_that_look_the_same_are_of_one_sample(tmp_path: Path) -> None:
+    apart, together = (unicodedata.normalize(form, "Küche") for form in ("NFD", "NFC"))
+    depth = png(np.array([[1000, 2000]], np.uint16))
+    path = tar_of(tmp_path / "a.tar", {f"{apart}.png": PHOTO, f"{together}.depth.png": depth})
+    dataset = ShardDataset(path, depth_scale=1000, domain="indoor")
+    assert [sample.target[0].tolist() for sample in (dataset[i] for i in range(len(dataset)))] == [[[1, 2]]]

@@ -15,6 +15,14 @@ def composed(name: str) -> str:
     return name if name.isascii() else unicodedata.normalize("NFC", name)
 
 
+def other_capitals(path: Path) -> Path | None:
+    """Return the file that has a missing file's name in other capital letters, as lists from Windows have them."""
+    try:
+        return next((other for other in path.parent.iterdir() if other.name.casefold() == path.name.casefold()), None)
+    except (OSError, ValueError):
+        return None
+
+
 class Finder:
     """The files that the names of a list mean.
 

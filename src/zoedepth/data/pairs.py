@@ -28,6 +28,7 @@ from torch.utils.data import Dataset
 from zoedepth.data.facts import Facts, read_defaults
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
+from zoedepth.data.names import other_capitals
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError
@@ -106,9 +107,11 @@ class PairDataset(Dataset[Sample]):
                 f"{self.path} lists {len(bare)} photos without depth, the first is {bare[0]}. Remove their lines"
             )
         if not keep_missing and (missing := self.missing_files()):
+            twin = other_capitals(missing[0])
+            hint = f". There is {twin.name}: capital letters count" if twin else ""
             raise InputError(
-                f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}. Its paths are "
-                f"relative to {self._root}{'' if root else ', its own folder; --root names another'}"
+                f"{self.path} lists {len(missing)} files that do not exist, the first is {missing[0]}{hint}. Its paths "
+                f"are relative to {self._root}{'' if root else ', its own folder; --root names another'}"
             )
 
     def __len__(self) -> int:

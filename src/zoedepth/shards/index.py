@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from zoedepth.data.facts import Facts, parse_facts
+from zoedepth.data.names import composed
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
 from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, open_tar, split_name
@@ -159,10 +160,11 @@ def _groups(path: Path) -> Iterator[_Group]:
                 name = split_name(member.name) if member.isreg() and not member.issparse() else None
                 if name is None:
                     continue
-                if group is None or group.key != name[0]:
+                key = composed(name[0])
+                if group is None or group.key != key:
                     if group is not None:
                         yield group
-                    group = _Group(name[0], member.offset, 0, set())
+                    group = _Group(key, member.offset, 0, set())
                 group.extensions.add(name[1])
                 group.end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
                 if name[1] == "json":
