@@ -38,10 +38,12 @@ class DepthMap:
 
     @property
     def confidence(self) -> DepthArray | None:
-        """1 / (1 + std / depth), in (0, 1]: 1 is certain, 0.5 is an uncertainty as large as the depth itself.
+        """1 / (1 + std / depth), in (0, 1]: how narrow the model's distribution over depth is.
 
-        None where the model has no distribution over depth. It ranks pixels and photos but is no probability, for
-        nothing ties the spread of the bins to the true error.
+        **Do not take it for how right the depth is.** Nothing in the training ties the spread of the bins to the error,
+        so it is no probability, and need not even rank pixels: those of zoed-lite with a higher confidence are often
+        the worse ones. ``zoedepth evaluate`` measures it for your model and photos (AUSE: 0 is a perfect ranking, 1 is
+        none). None where the model has no distribution over depth.
         """
         return self.maps.confidence
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo, sample_of
 from tests.folders import write_disparity_pairs, write_pairs
 from torchvision.transforms import functional as transforms
@@ -35,6 +36,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
+from zoedepth.stored.maps import RELATIVE_KEY
 from zoedepth.weights.load import load_model, save_model
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
@@ -242,7 +244,9 @@ def test_disparity_has_no_unit_and_may_have_8_bits(tmp_path: Path) -> None:
 
 
 def test_relative_depth_of_this_package_is_not_taken_for_metres(tmp_path: Path) -> None:
-    write_maps(tmp_path / "a.png", Maps(relative=DEPTH))
+    text = PngInfo()
+    text.add_text(RELATIVE_KEY, "0.5")
+    Image.fromarray((DEPTH * 256).astype(np.uint16)).save(tmp_path / "a.png", pnginfo=text)
     with pytest.raises(InputError, match=r"a\.png says that it is relative depth.*--predictions-kind disparity"):
         FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE)
     assert FolderSource(tmp_path, kind="disparity").predict(named("a.jpg"), EVERYWHERE).relative

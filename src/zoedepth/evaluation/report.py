@@ -1,6 +1,5 @@
 """Write the report of an evaluation: tables for paper and web, pictures of example images, plots of error by depth."""
 
-import json
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import cycle, pairwise
@@ -21,6 +20,7 @@ from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, scored_pix
 from zoedepth.evaluation.summary import Summary
 from zoedepth.evaluation.tables import ReportTable
 from zoedepth.images import ImageArray, atomic_path, to_image, write_image
+from zoedepth.stored import readable, to_json
 
 ERROR_LIMIT = 50.0
 """Error, in percent of the true depth, at which the scale of colours ends on both sides."""
@@ -75,7 +75,7 @@ def write_report(
     _write(folder / "report.html", _PAGE.replace("BODY", "\n".join(filter(None, page))))
     _write(folder / "report.tex", "\n".join(table.latex() for table in tables))
     values = {"zoedepth": __version__, "command": command, "results": [summary.to_json() for summary in summaries]}
-    _write(folder / "report.json", readable_json(values, indent=2) + "\n")
+    _write(folder / "report.json", to_json(values, indent=2) + "\n")
 
 
 _PAGE = """<!DOCTYPE html>
@@ -106,16 +106,6 @@ BODY
 </body>
 </html>
 """
-
-
-def readable(text: str) -> str:
-    """Return a text that can be written as UTF-8: bytes of an argument or a file name that are none become marks."""
-    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-
-
-def readable_json(values: object, *, indent: int | None = None) -> str:
-    """Return values as JSON in ASCII, all of whose strings any reader takes; see ``readable``."""
-    return json.dumps(json.loads(readable(json.dumps(values, ensure_ascii=False))), indent=indent)
 
 
 def examples(
