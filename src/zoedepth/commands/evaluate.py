@@ -93,7 +93,8 @@ def evaluate(
     from zoedepth.evaluation.evaluate import evaluate as score_all
     from zoedepth.evaluation.evaluation_set import open_evaluation_set
     from zoedepth.evaluation.out_folder import check_folder
-    from zoedepth.evaluation.report import readable_json, require_matplotlib
+    from zoedepth.evaluation.report import require_matplotlib
+    from zoedepth.stored import to_json
 
     console = Console(stderr=True, highlight=False)
     pictures = pictures and out is not None
@@ -129,7 +130,7 @@ def evaluate(
         return 0  # the first says how it went: torchrun ends all at the first that fails, and it has yet to report
     if json_:
         for summary in found.summaries:
-            print(readable_json(_record(summary)))
+            print(to_json(_record(summary)))
     else:
         _print_tables(found.tables(with_paper=with_paper))
     if out is not None:
