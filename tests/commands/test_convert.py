@@ -84,6 +84,22 @@ class TestConvert:
         assert "is there already" in capsys.readouterr().err
         assert [path.name for path in (tmp_path / "out").iterdir()] == ["mine.txt"]
 
+    def test_target_that_cannot_be_is_refused_before_a_model_is_looked_for(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+    ):
+        monkeypatch.setattr("zoedepth.weights.load.find", lambda *_, **__: pytest.fail("a model was looked for"))
+        (tmp_path / "mine.pt").write_text("mine")
+        for to, target, message in (
+            ("original", "mine.pt", "mine.pt is there already"),
+            ("zoedepth", "mine.pt", "is a folder"),
+            ("huggingface", ".", "is there already"),
+            ("original", "out", "ends with .pt"),
+            ("zoedepth", "mine.pt/deep/model", "cannot write"),
+        ):
+            assert main(["convert", "zoed-lite", str(tmp_path / target), "--to", to]) == 2
+            assert message in " ".join(capsys.readouterr().err.split())
+        assert (tmp_path / "mine.pt").read_text() == "mine"
+
     def test_model_the_other_layout_has_not(self, tmp_path: Path, capsys):
         assert main(["convert", "zoed-lite", str(tmp_path / "out"), "--to", "huggingface"]) == 2
         assert "transformers' ZoeDepth has no such model: encoder family 'convolutional'" in capsys.readouterr().err

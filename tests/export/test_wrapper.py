@@ -1,6 +1,9 @@
 """The exported form of a model computes what the model computes."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -9,6 +12,7 @@ from tests.export.models import DOMAINS, HEADS, PAIR, balanced, flat
 from zoedepth.build import build_model
 from zoedepth.config import ModelConfig, RouterConfig
 from zoedepth.errors import InputError
+from zoedepth.export import export_model
 from zoedepth.export.wrapper import ExportModel
 from zoedepth.presets import ZOED_LITE
 
@@ -45,3 +49,17 @@ def test_models_whose_head_nothing_in_the_graph_chooses_are_refused(tiny_config:
     for model, message in ((labeled, "labeled router"), (voting, "votes"), (relative, "without metric heads")):
         with pytest.raises(InputError, match=message):
             ExportModel(model)
+
+
+def test_weights_of_other_number_types_are_refused(tiny_config: ModelConfig, tmp_path: Path):
+    with pytest.raises(InputError, match=r"weights are torch.float16.*call model.float"):
+        export_model(flat(tiny_config, 1).half(), tmp_path / "model.onnx", to="onnx")
+
+
+def test_a_disk_without_room_is_told_before_the_work(
+    tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(InputError, match=r"has 1,000 bytes free, and the export needs about"):
+        export_model(flat(tiny_config, 1), tmp_path / "model.onnx", to="onnx")
+    assert list(tmp_path.iterdir()) == []

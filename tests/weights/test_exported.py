@@ -1,6 +1,8 @@
 """Exported files: those that run here, those that are refused, and small ones that would unpack to gigabytes."""
 
+import copy
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,10 @@ from tests.weights.layouts.test_files import little_memory
 
 from zoedepth.config import to_dict
 from zoedepth.errors import InputError
+from zoedepth.export import export_model
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
+from zoedepth.provenance import Provenance
 from zoedepth.weights.exported import METADATA, is_exported, load_exported
 from zoedepth.weights.load import load_model
 
@@ -174,3 +178,36 @@ def test_numbers_are_those_of_the_runtime(file: Path):
     """The helper above would hide a model that is never asked."""
     pixels = np.linspace(0, 1, 3 * 64 * 64, dtype=np.float32).reshape(1, 3, 64, 64)
     assert np.allclose(load_exported(file).run({"pixel_values": pixels}, std=True)["predicted_depth"], pixels.mean(1))
+
+
+def test_copies_and_pickles_load_the_file_again(file: Path, tmp_path: Path):
+    """A session can neither be copied nor sent to another process."""
+    pixels = torch.rand(1, 3, 64, 64)
+    for path in (file, openvino_file(tmp_path / "model.xml", file)):
+        model = load_exported(path, threads=1)
+        for other in (pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):
+            assert type(other) is type(model)
+            assert torch.equal(other(pixels).depth, model(pixels).depth)
+    assert pickle.loads(pickle.dumps(load_exported(tmp_path / "model.xml", streams=2))).options["streams"] == 2
+
+
+def test_terms_of_the_weights_are_in_the_metadata(tmp_path: Path):
+    said = json.dumps({"config": to_dict(FAR), "licence": "cc-by-nc-4.0", "trained_on": None})
+    model = load_exported(onnx_file(tmp_path / "model.onnx", metadata=said))
+    assert model.provenance == Provenance("cc-by-nc-4.0")
+
+
+def test_what_an_exported_file_has_not_is_said(file: Path):
+    with pytest.raises(InputError, match="an exported model has no relative depth: use the model"):
+        Predictor(load_exported(file)).relative(np.zeros((64, 64, 3), np.uint8))
+    with pytest.raises(InputError, match="the model is an exported file already"):
+        export_model(load_exported(file), file.with_name("other.onnx"), to="onnx")
+
+
+def test_programs_of_torch_are_named(tmp_path: Path):
+    program = torch.export.export(torch.nn.Linear(2, 3), (torch.rand(1, 2),))
+    torch.export.save(program, tmp_path / "model.pt2")
+    torch.jit.script(torch.nn.Linear(2, 3)).save(tmp_path / "model.pt")
+    for name, message in (("model.pt2", r"is a torch-export.*torch\.export\.load"), ("model.pt", "is a TorchScript")):
+        with pytest.raises(InputError, match=message):
+            load_model(tmp_path / name)

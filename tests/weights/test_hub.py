@@ -1,4 +1,5 @@
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -7,7 +8,7 @@ from pathlib import Path
 import pytest
 from tests.servers import FakeHub
 
-from zoedepth.weights.hub import is_hub_id
+from zoedepth.weights.hub import give_a_home, is_hub_id
 
 CONFIG, WEIGHTS = b'{"domains": []}', bytes(range(256)) * 1000
 MODEL = {"config.json": CONFIG, "model.safetensors": WEIGHTS}
@@ -98,6 +99,19 @@ def test_importing_the_module_is_cheap():
     code = f"import sys; {call}; print('huggingface_hub' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
+
+
+def test_cache_of_the_hub_without_a_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """As in a container with a user that has no name: expanduser leaves the "~" as it is."""
+    for name in ("HF_HOME", "HF_HUB_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, "")  # or monkeypatch would not take away what is set below
+        monkeypatch.delenv(name)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    give_a_home()
+    assert Path(os.environ["HF_HOME"]).is_absolute()
+    monkeypatch.setenv("HF_HOME", "mine")
+    give_a_home()
+    assert os.environ["HF_HOME"] == "mine"
 
 
 # --- fetch ------------------------------------------------------------------------------------------------------------
