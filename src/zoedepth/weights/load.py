@@ -135,7 +135,7 @@ def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
 
 
 def _newest_checkpoint(folder: Path) -> Path | None:
-    """Return the newest checkpoint of a training in its folder; None where the folder is none, or has weights itself."""
+    """Return the newest checkpoint of a training in its folder; None for other folders, and those with weights."""
     if not folder.is_dir() or (folder / WEIGHTS).is_file():
         return None
     steps = [path.parent for path in (*folder.glob(f"step_*/{WEIGHTS}"), *folder.glob(f"run/step_*/{WEIGHTS}"))]

@@ -182,7 +182,8 @@ def _read_torch(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             saved = torch.load(file, map_location="cpu", weights_only=True)
     except pickle.UnpicklingError as error:
         raise InputError(
-            f"{path} holds something other than tensors{_named(error)}: refused, nothing of it was executed"
+            f"{path} holds something other than tensors{_named(error)}: refused, nothing of it was executed. "
+            "Save a model with zoedepth.save_model, or its state_dict()"
         ) from error
     except Exception as error:  # a made-up pickle can fail in any way
         raise InputError(
