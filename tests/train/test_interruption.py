@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from zoedepth.train import interruption
+from zoedepth.train import processes
 from zoedepth.train.interruption import Interruption
 
 
@@ -61,9 +61,9 @@ def test_other_threads_than_the_main_one_can_train() -> None:
 
 
 def test_all_processes_stop_if_one_was_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(interruption, "several_processes", lambda: True)
+    monkeypatch.setattr(processes, "several_processes", lambda: True)
     with Interruption() as noted:
-        monkeypatch.setattr(interruption, "total", lambda mine: mine + 1)  # another process got a signal
+        monkeypatch.setattr(processes, "total", lambda mine: mine + 1)  # another process got a signal
         assert noted.asked(Device())
-        monkeypatch.setattr(interruption, "total", lambda mine: mine)
+        monkeypatch.setattr(processes, "total", lambda mine: mine)
         assert not noted.asked(Device())

@@ -106,7 +106,5 @@ def test_pairs_that_cannot_be_read_are_left_out_up_to_a_tenth(tmp_path: Path):
     assert list(found.unreadable) == [5]
     assert survey(open_dataset(path), name="a", broken={5})[0].unreadable == {}
     (tmp_path / "a/6.png").write_bytes(b"cut short")
-    with pytest.raises(
-        InputError, match=r"2 of the 12 pairs of a that were looked at cannot be read: .*5\.npy.*; .*6"
-    ):
+    with pytest.raises(InputError, match=r"2 of the 12 pairs of a that were looked at cannot be read: .*5\.npy.*; .*6"):
         survey(open_dataset(path), name="a")

@@ -9,7 +9,7 @@ import torch
 from torch.utils.data import Subset
 
 from zoedepth.config import ModelConfig
-from zoedepth.data.integrity import find_broken, most_broken
+from zoedepth.data.integrity import find_broken
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.dataset_scores import score_dataset
@@ -27,7 +27,7 @@ from zoedepth.train.run import identity_of
 from zoedepth.train.sources import open_source
 from zoedepth.train.state import check_same, checkpoints
 from zoedepth.train.survey import Survey, survey
-from zoedepth.train.tolerant import too_many
+from zoedepth.train.tolerant import explained, too_many
 from zoedepth.weights.card import model_card
 from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import load_model, save_model
@@ -215,8 +215,8 @@ def _look(
     broken: dict[int, str] = {}
     if options.check != "off":
         broken = find_broken(dataset, full=options.check == "full", progress=progress)
-        if len(broken) > most_broken(len(dataset)) or len(broken) == len(dataset):
-            raise InputError(too_many(source, broken, len(dataset)))
+        if too_many(broken, len(dataset)):
+            raise InputError(explained(source, broken, len(dataset)))
     found, samples = survey(dataset, name=name, broken=broken, trusted=options.check == "off")
     if found.doubts.impossible:
         raise InputError(

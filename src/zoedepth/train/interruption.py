@@ -4,9 +4,7 @@ import signal
 import threading
 from typing import TYPE_CHECKING
 
-import torch
-
-from zoedepth.train.processes import several_processes, total
+from zoedepth.train.processes import anywhere
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -34,9 +32,7 @@ class Interruption:
 
     def asked(self, fabric: "Fabric") -> bool:
         """Return True if any process was asked to end: all of them have to stop after the same step."""
-        if not several_processes():
-            return self._noted
-        return bool(total(torch.tensor(float(self._noted), device=fabric.device)) > 0)
+        return anywhere(self._noted, fabric.device)
 
     def _note(self, number: int, _: object) -> None:
         self._noted = True

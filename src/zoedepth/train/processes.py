@@ -75,6 +75,13 @@ def total(x: Tensor) -> Tensor:
     return function.apply(x) if several_processes() else x
 
 
+def anywhere(noted: bool, device: torch.device) -> bool:
+    """Return True if any of the processes has noted something: then all of them have to act on it, after this step."""
+    if not several_processes():
+        return noted
+    return bool(total(torch.tensor(float(noted), device=device)) > 0)
+
+
 @contextmanager
 def raw_gradients() -> Iterator[None]:
     """Allow ``torch.autograd.grad`` inside this context on a network that Fabric has set up for mixed precision.

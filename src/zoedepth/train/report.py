@@ -4,7 +4,10 @@ from collections.abc import Mapping
 from itertools import islice
 
 from zoedepth.data.sample import Batch, Sample
+from zoedepth.errors import InputError
+from zoedepth.train.log import say
 from zoedepth.train.pictures import predictions_sheet
+from zoedepth.train.processes import anywhere
 from zoedepth.train.run import Run
 from zoedepth.train.tolerant import readable
 from zoedepth.train.validate import validate
@@ -22,10 +25,7 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
         KeyboardInterrupt: the run was asked to end; the checkpoint of this step is written.
         InputError: too many samples turned out to be broken.
     """
-    for samples in run.tolerant:
-        for problem in samples.newly_broken():
-            run.log.say(f"skipped: {problem}")
-        samples.check_share()
+    _tell_broken(run)
     config, step = run.config, run.state.step
     last = step == config.steps
     interrupted = run.interruption.asked(run.fabric)
@@ -42,6 +42,16 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
     if interrupted and not last:
         run.fabric.barrier()
         raise KeyboardInterrupt(f"step {step} is saved; the same command goes on from there")
+
+
+def _tell_broken(run: Run) -> None:
+    """Name the samples that were skipped since the last step, by whichever process, and end if there are too many."""
+    for samples in run.tolerant:
+        for problem in samples.newly_broken():
+            say(f"skipped: {problem}") if not run.log.active else run.log.say(f"skipped: {problem}")
+    too_many = [samples for samples in run.tolerant if samples.too_many]
+    if anywhere(bool(too_many), run.fabric.device):
+        raise InputError(too_many[0].explain() if too_many else "another process cannot read its samples: see above")
 
 
 def _validate_and_draw(run: Run, batch: Batch) -> None:

@@ -9,12 +9,12 @@ import numpy as np
 from torch.utils.data import Dataset, Subset
 
 from zoedepth.data import augment
-from zoedepth.data.integrity import find_broken, most_broken
+from zoedepth.data.integrity import find_broken
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.opening import open_dataset
 from zoedepth.train.config import SourceConfig, TrainConfig
-from zoedepth.train.tolerant import Tolerant, too_many
+from zoedepth.train.tolerant import Tolerant, explained, too_many
 
 
 class _Mapped(Dataset[Sample], DepthDataset):
@@ -67,8 +67,8 @@ def load_sources(
         broken = {}
         if config.check != "off":
             broken = find_broken(dataset, full=config.check == "full", progress=progress)
-        if len(broken) > most_broken(len(dataset)) or len(broken) == len(dataset):
-            raise InputError(too_many(str(data[name]), broken, len(dataset)))
+        if too_many(broken, len(dataset)):
+            raise InputError(explained(str(data[name]), broken, len(dataset)))
         held = {i: problem for i, problem in broken.items() if i < n_training}
         training.append((known[name], Tolerant(Subset(dataset, range(n_training)), name=name, broken=held)))
         if config.holdout:

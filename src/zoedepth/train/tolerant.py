@@ -1,6 +1,6 @@
 """Samples of which some cannot be read: a training goes on without them, and says which they are."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sized
 
 import numpy as np
 import torch
@@ -73,17 +73,22 @@ class Tolerant(Dataset[Sample]):
                 found.append(self.problems[index])
         return found
 
-    def check_share(self) -> None:
-        """Check that no more than a tenth of the samples is broken, or one of few.
+    @property
+    def too_many(self) -> bool:
+        """True if more than a tenth of the samples is broken, and more than one."""
+        return too_many(self.problems, len(self))
 
-        Raises:
-            InputError: more are; the message names them.
-        """
-        if len(self.problems) > most_broken(len(self)) or len(self.problems) == len(self):
-            raise InputError(too_many(self.name, self.problems, len(self)))
+    def explain(self) -> str:
+        """Return the message for too many broken samples, which names them."""
+        return explained(self.name, self.problems, len(self))
 
 
-def too_many(name: str, problems: Mapping[int, str], n: int) -> str:
+def too_many(problems: Sized, n: int) -> bool:
+    """Return True if more than a tenth of ``n`` samples is broken, and more than one, or all."""
+    return len(problems) > most_broken(n) or len(problems) == n
+
+
+def explained(name: str, problems: Mapping[int, str], n: int) -> str:
     """Return the message for data of which too much is broken."""
     return (
         f"{len(problems):,} of {n:,} pairs of {name} cannot be read, more than a tenth: {named(problems.values())}. "
