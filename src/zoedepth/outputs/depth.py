@@ -57,7 +57,7 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     if options.png_scale is None and scale != PNG_SCALE_MILLIMETRE:
         notes.append("beyond 65.535 m: the PNG has 256 levels per metre, not 1000")
     if depth.max() * scale > PNG_MAX:
-        notes.append("clipped: too far for the scale of the PNG, a smaller one fits more")
+        notes.append("clipped: too far for the scale of the PNG; a smaller --png-scale (scale=) fits more")
     return Written({"png_scale": scale}, tuple(notes))
 
 

@@ -123,4 +123,6 @@ def check_png_scale(scale: float) -> None:
         InputError: it is not a positive number.
     """
     if not 0 < scale < float("inf"):
-        raise InputError(f"the PNG scale is in levels per metre and must be positive, got {scale}: use 1000 or 256")
+        raise InputError(
+            f"the PNG scale (--png-scale, scale=) is in levels per metre and must be positive, got {scale}: use 1000 or 256"
+        )
