@@ -25,6 +25,11 @@ settings.register_profile("fuzz", derandomize=False, max_examples=1000, deadline
 settings.load_profile("repeatable")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let tests predict pictures of one colour: they know that nothing can be seen in them."""
+    config.addinivalue_line("filterwarnings", "ignore::zoedepth.errors.InputWarning")
+
+
 def pytest_collection_finish() -> None:
     """Take what was imported and collected out of the garbage collector's sight: none of it is ever freed."""
     gc.collect()

@@ -178,3 +178,100 @@ def test_maps_and_masks_are_looked_at_as_photos_are(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"bomb\.png is not a readable PNG .*chunks"):
         read_mask(tmp_path / "bomb.png")
     assert declared_scale(tmp_path / "bomb.png") is None
+
+
+def directories(order: str, *pages: tuple[dict[int, int], ...], within: tuple[dict[int, int], ...] = ()) -> bytes:
+    """A TIFF of pages without pixels, given by their tags; those within belong to the first."""
+    places, place = [], 8
+    for tags in (*pages, *within):
+        places.append(place)
+        place += 6 + 12 * (len(tags) + 1)
+    content = (b"II*\0" if order == "<" else b"MM\0*") + struct.pack(order + "I", 8)
+    for number, tags in enumerate((*pages, *within)):
+        tags = {**tags, 330: place} if within and number == 0 else {**tags, 256: 8}
+        following = places[number + 1] if number + 1 < len(pages) else 0
+        content += struct.pack(order + "H", len(tags))
+        for tag, value in sorted(tags.items()):
+            count = max(2, len(within)) if tag == 330 else 1
+            short = tag in (262, 255)
+            content += struct.pack(order + ("HHIHxx" if short else "HHII"), tag, 3 if short else 4, count, value)
+        content += struct.pack(order + "I", following)
+    return content + b"".join(struct.pack(order + "I", place) for place in places[len(pages) :]) + bytes(8)
+
+
+SENSOR, PREVIEW = {262: 32803}, {254: 1}
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize(
+    "pages",
+    [
+        {"pages": ({50706: 0x01040000},)},
+        {"pages": ({254: 0}, {262: 34892})},
+        {"pages": (PREVIEW,), "within": (PREVIEW, SENSOR)},
+        {"pages": (PREVIEW, PREVIEW), "within": ({262: 2}, {262: 2})},
+        {"pages": ({254: 0},), "within": (PREVIEW, SENSOR)},
+    ],
+    ids=["DNG", "linear", "NEF", "previews with the photo within", "preview that does not say so"],
+)
+def test_raw_files_are_not_read_by_their_previews(order: str, pages: dict[str, tuple]) -> None:
+    content = directories(order, *pages["pages"], within=pages.get("within", ()))
+    with pytest.raises(ValueError, match="it is a camera's raw file"):
+        check_claims(io.BytesIO(content))
+
+
+def test_pyramids_are_photos() -> None:
+    """Smaller copies within the page of the full picture, as microscopes and maps have them."""
+    check_claims(io.BytesIO(directories("<", {262: 2}, within=(PREVIEW, PREVIEW))))
+    check_claims(io.BytesIO(directories("<", PREVIEW)))  # the only page, whatever it says
+
+
+def test_pages_of_a_tiff_are_counted() -> None:
+    many = directories("<", *20_000 * [{}])
+    with pytest.raises(ValueError, match="more than 10,000 pages"):
+        check_claims(io.BytesIO(many))
+    circle = bytearray(directories("<", {}))
+    circle[22:26] = struct.pack("<I", 8)  # the next page is this one
+    check_claims(io.BytesIO(circle))
+
+
+def brands(*names: bytes) -> bytes:
+    return struct.pack(">I", 12 + 4 * len(names)) + b"ftyp" + names[0] + bytes(4) + b"".join(names[1:]) + bytes(99)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "it is empty"),
+        (brands(b"crx ", b"isom"), "raw file"),
+        (brands(b"isom", b"mp42"), "it is a film"),
+        (brands(b"qt  "), "it is a film"),
+        (b"II*\0\x10\0\0\0CR\2\0" + bytes(99), "raw file"),
+        (b"FUJIFILMCCD-RAW 0201", "raw file"),
+        (b"IIU\0" + bytes(99), "raw file"),
+        (b"8BPS\0\1" + bytes(99), "it is a document"),
+        (b"%PDF-1.7", "it is a document"),
+        (b'<?xml version="1.0"?><svg>', "it is a document"),
+        (b"\x76\x2f\x31\x01\2\0\0\0", "wide range of light"),
+        (b"#?RADIANCE\n", "wide range of light"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\n", "git lfs pull"),
+        (b"\n\n<!DOCTYPE html><html>", "it is a web page"),
+        (b"PK\3\4" + bytes(99), "it is an archive"),
+        (b"\0\0\0\x0cJXL \r\n\x87\n", "JPEG XL"),
+        (b"\0\0\1\0\2\0", "it is an icon"),
+    ],
+)
+def test_what_is_no_photo_is_named(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.jpg").write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\.jpg is no ordinary photo: .*{message}"):
+        read_image(tmp_path / "a.jpg")
+
+
+def test_avif_is_not_taken_for_a_film_or_heic() -> None:
+    for names in ((b"avif", b"mif1"), (b"mif1", b"avif", b"miaf")):
+        check_claims(io.BytesIO(brands(*names)))
+
+
+def test_lengths_that_lie_take_no_time() -> None:
+    with pytest.raises(ValueError, match="film"):
+        check_claims(io.BytesIO(b"\xff\xff\xff\xffftypisom" + bytes(99)))

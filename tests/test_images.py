@@ -3,16 +3,19 @@
 import io
 import struct
 import threading
+import tracemalloc
+import warnings
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from PIL import Image, features
+from PIL import Image, PngImagePlugin, features
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.images import (
+    _FORMATS,
     PNG_MAX,
     as_array,
     atomic_path,
@@ -145,7 +148,115 @@ class TestReadImage:
     def test_nothing_is_executed_to_read_a_file(self, tmp_path: Path) -> None:
         path = tmp_path / "drawing.jpg"  # Pillow would start Ghostscript on EPS, whatever the suffix
         path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
-        with pytest.raises(InputError, match="not an image"):
+        with pytest.raises(InputError, match=r"drawing\.jpg is no ordinary photo: it is a document"):
+            read_image(path)
+        assert "EPS" not in _FORMATS
+
+    def test_streams_and_files_at_their_end(self, photo: np.ndarray, tmp_path: Path) -> None:
+        file = io.BytesIO()
+        Image.fromarray(photo).save(file, "PNG")  # which leaves it at its end
+        np.testing.assert_array_equal(read_image(file), photo)
+
+        class Stream(io.BytesIO):
+            """As the web and pipes give it: it can be read once."""
+
+            def seekable(self) -> bool:
+                return False
+
+            def seek(self, place: int, whence: int = 0) -> int:
+                raise io.UnsupportedOperation
+
+        np.testing.assert_array_equal(read_image(Stream(file.getvalue())), photo)
+
+    def test_palette_with_transparency_is_read_without_a_warning(self, photo: np.ndarray, tmp_path: Path) -> None:
+        palette = Image.fromarray(photo).convert("P")
+        path = saved(palette, tmp_path / "photo.png", transparency=bytes(range(256)))
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            np.testing.assert_array_equal(read_image(path), np.asarray(palette.convert("RGB")))
+            picture = Image.open(path)
+            np.testing.assert_array_equal(to_image(picture), np.asarray(palette.convert("RGB")))
+        assert "transparency" in picture.info  # the user's picture is left as it was
+
+
+def large(photo: np.ndarray) -> np.ndarray:
+    return np.kron(photo, np.ones((8, 8, 1), np.uint8))
+
+
+class TestWarnings:
+    """What can be read and is hardly meant is named, with what to do."""
+
+    @pytest.mark.parametrize(("bits", "factor"), [(8, 257), (10, 64), (12, 16), (14, 4)])
+    def test_few_bits_in_16(self, photo: np.ndarray, tmp_path: Path, bits: int, factor: int) -> None:
+        levels = np.round(photo[..., 0] / photo[..., 0].max() * (2**bits - 1)).astype(np.uint16)
+        path = saved(Image.fromarray(levels), tmp_path / "thermal.png")
+        with pytest.warns(InputWarning, match=rf"thermal\.png is too dark.*{2**bits - 1}\. .*by {factor}$"):
+            dark = read_image(path)
+        assert dark.max() <= 64  # it is not stretched without being asked
+        for source, name in ((levels, "the array"), (Image.open(path), "the PIL image"), (levels.astype(">u2"), "the")):
+            with pytest.warns(InputWarning, match=rf"{name}.* is too dark"):
+                to_image(source)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            to_image(levels * np.uint16(factor))
+
+    @pytest.mark.parametrize(
+        ("values", "message"),
+        [
+            (np.random.default_rng(0).integers(0, 2, (30, 40, 3), np.uint8), "nearly black: its largest value is 1 of"),
+            (np.zeros((30, 40, 3), np.uint8), "nearly black"),
+            (np.full((30, 40, 3), (9, 200, 40), np.uint8), "nearly of one colour"),
+            (np.full((300, 400), 1, np.float32), "nearly of one colour"),
+            (np.zeros((30, 40), np.uint16), "nearly black"),
+        ],
+        ids=["0 and 1", "black", "coloured", "white", "16 bits"],
+    )
+    def test_nothing_to_see(self, values: np.ndarray, message: str) -> None:
+        with pytest.warns(InputWarning, match=f"the array is {message}"):
+            to_image(values)
+
+    def test_one_lamp_at_night_is_something_to_see(self) -> None:
+        night = np.zeros((1000, 1500, 3), np.uint8)
+        night[501, 777] = 255  # beside the pixels of the first look
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            to_image(night)
+
+    def test_masks_and_maps_are_no_photos(self, tmp_path: Path) -> None:
+        path = saved(Image.new("1", (30, 20)), tmp_path / "mask.png")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert not read_image(path, photo=False).any()
+
+    @pytest.mark.parametrize("suffix", [".gif", ".png", ".webp", ".tif"])
+    def test_several_frames(self, photo: np.ndarray, tmp_path: Path, suffix: str) -> None:
+        first, second = (Image.fromarray(values) for values in (large(photo), large(photo)[::-1]))
+        options = {"lossless": True} if suffix == ".webp" else {}
+        path = saved(first, tmp_path / f"film{suffix}", save_all=True, append_images=[second], **options)
+        with pytest.warns(InputWarning, match=rf"film\{suffix} has several pages or frames, and the first is read"):
+            image = read_image(path)
+        atol = 40 if suffix == ".gif" else 0  # its palette
+        np.testing.assert_allclose(image.astype(int), large(photo), atol=atol)
+
+    def test_preview_in_a_tiff_is_no_second_page(self, photo: np.ndarray, tmp_path: Path) -> None:
+        preview = Image.new("RGB", (3, 2))
+        preview.encoderinfo = {"tiffinfo": {254: 1}}
+        path = saved(Image.fromarray(photo), tmp_path / "photo.tif", save_all=True, append_images=[preview])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            np.testing.assert_array_equal(read_image(path), photo)
+
+    @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
+    def test_panorama(self, photo: np.ndarray, tmp_path: Path, suffix: str) -> None:
+        notes = '<x:xmpmeta xmlns:x="adobe:ns:meta/"><a GPano:ProjectionType="equirectangular"/></x:xmpmeta>'
+        options: dict[str, object] = {"xmp": notes.encode()}
+        if suffix == ".png":
+            options = {"pnginfo": PngImagePlugin.PngInfo()}
+            options["pnginfo"].add_itxt("XML:com.adobe.xmp", notes)
+        elif suffix == ".tif":
+            options = {"tiffinfo": {700: notes.encode()}}
+        path = saved(Image.fromarray(large(photo)), tmp_path / f"sphere{suffix}", **options)
+        with pytest.warns(InputWarning, match=rf"sphere\{suffix} is a panorama"):
             read_image(path)
 
 
@@ -252,8 +363,11 @@ class TestBombs:
     def test_text_and_profiles_of_a_png(self, kind: bytes) -> None:
         flags = b"\1\0\0\0" if kind == b"iTXt" else b"\0"
         bomb = chunk(kind, b"name\0" + flags + zlib.compress(b"a" * 50_000_000))
-        with pytest.raises(InputError, match="cannot be read"):
-            read_image(io.BytesIO(png(8, 8, bomb)))
+        tracemalloc.start()
+        assert read_image(io.BytesIO(png(8, 8, bomb))).shape == (8, 8, 3)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 5_000_000
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "P", "1", "RGBA", "CMYK", "I;16", "F"])

@@ -10,7 +10,7 @@ import re
 import struct
 from contextlib import suppress
 from io import BytesIO
-from typing import IO
+from typing import IO, NamedTuple
 
 BinaryFile = IO[bytes] | BytesIO  # a BytesIO is an IO[bytes] to static checkers, not to beartype
 
@@ -23,13 +23,16 @@ _MAX_JUNK = 1 << 16  # bytes that stand between the segments of a JPEG
 _CHUNK = 1024  # bytes that the chunks of a large PNG have on average, at least
 _MAX_RUN_PIXELS = 1 << 22
 _MAX_PNM_HEADER, _MAX_COMMENTS = 4096, 100
-_MAX_TAGS, _MAX_STRIPS = 4096, 1 << 17
+_MAX_TAGS, _MAX_ALL_TAGS, _MAX_STRIPS, _MAX_WITHIN = 4096, 1 << 17, 1 << 17, 16
 _MAX_MARKERS, _MAX_PRECINCTS, _MAX_BLOCKS = 1 << 17, 1 << 16, 1 << 19
 
 # A marker of a JPEG that is neither a stuffed byte nor one that stands inside of a scan.
 _MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")
 # TIFF's tags of the places and lengths of strips and tiles.
 _STRIP_TAGS = (273, 279, 324, 325)
+# Tags of the kind of a page, what its values are, and the places of more pictures within it; the version of a DNG.
+_KIND_TAG, _COLOURS_TAG, _WITHIN_TAG, _DNG_TAG, _SHORT = 254, 262, 330, 50706, 3
+_SENSOR_COLOURS = (32803, 34892)  # a filter of colours before each pixel; linear values of a sensor
 # Markers of JPEG 2000: SOC, SIZ, COD, COC, SOT, SOD, EOC.
 _START, _SIZE, _CODING, _CODING_OF_COMPONENT, _PART, _CONTENT, _END = (
     0xFF4F, 0xFF51, 0xFF52, 0xFF53, 0xFF90, 0xFF93, 0xFFD9,
@@ -37,13 +40,15 @@ _START, _SIZE, _CODING, _CODING_OF_COMPONENT, _PART, _CONTENT, _END = (
 
 
 def check_claims(file: BinaryFile) -> None:
-    """Refuse a photo of far too many pieces. The file is left at the position where it was.
+    """Refuse a photo of far too many pieces, and name what is no photo. The file is left where it was.
 
     Raises:
-        ValueError: it has; the message says of what, and is to be put behind the name of the file.
+        ValueError: it is one of these; the message says which, and is to be put behind the name of the file.
     """
     place = file.tell()
-    start = file.read(12)
+    start = file.read(64)
+    if other := _other_kind(start):
+        raise ValueError(other)
     for prefixes, check in _CHECKS.items():
         if start.startswith(prefixes):
             file.seek(place)
@@ -118,21 +123,74 @@ def _check_pnm(file: BinaryFile) -> None:
 
 
 def _check_tiff(file: BinaryFile) -> None:
-    """Count the tags of the first picture, and its strips or tiles."""
+    """Count the pages, their tags, and the strips or tiles of each; refuse what a camera's sensor has recorded."""
     begin = file.tell()
     start = file.read(16)
+    if start[8:10] == b"CR":  # Canon's CR2
+        raise ValueError(_RAW)
     order = "<" if start.startswith(b"II") else ">"
     for large in {start[2] == 43, 43 in start[2:4]}:  # BigTIFF has numbers of 64 bits; Pillow looks at the first byte
-        file.seek(begin + struct.unpack_from(order + ("Q" if large else "I"), start, 8 if large else 4)[0])
-        (n_tags,) = struct.unpack(order + ("Q" if large else "H"), file.read(8 if large else 2))
-        if n_tags > _MAX_TAGS:
-            raise ValueError(f"it has {n_tags:,} tags, more than {_MAX_TAGS:,}. Save it again as an ordinary TIFF")
-        for _ in range(n_tags):
-            tag, _, count = struct.unpack(order + ("HHQ8x" if large else "HHI4x"), file.read(20 if large else 12))
-            if tag in _STRIP_TAGS and count > _MAX_STRIPS:
+        first = struct.unpack_from(order + ("Q" if large else "I"), start, 8 if large else 4)[0]
+        _check_pages(file, begin, first, order, large=large)
+
+
+def _check_pages(file: BinaryFile, begin: int, place: int, order: str, *, large: bool) -> None:
+    pages: dict[int, _Directory] = {}  # by their places
+    n_tags = 0
+    with suppress(struct.error):  # the decoder does not come farther either
+        while place and place not in pages:
+            pages[place] = page = _read_directory(file, begin + place, order, large=large)
+            n_tags += page.n_tags
+            place = page.following
+            if n_tags > _MAX_ALL_TAGS or len(pages) > _MAX_PIECES:
                 raise ValueError(
-                    f"it has {count:,} strips or tiles, more than {_MAX_STRIPS:,}. Save it again as an ordinary TIFF"
+                    f"it has more than {_MAX_PIECES:,} pages, or {_MAX_ALL_TAGS:,} tags in all of them. Save the page "
+                    "that you need as an ordinary TIFF"
                 )
+    within = [place for page in pages.values() for place in page.within]
+    if within and all(page.is_preview for page in pages.values()):
+        raise ValueError(_RAW)
+    for place in within[:_MAX_WITHIN]:
+        with suppress(struct.error):
+            _read_directory(file, begin + place, order, large=large)
+
+
+class _Directory(NamedTuple):
+    """Directory of a page of a TIFF: the parts of it that are looked at."""
+
+    n_tags: int
+    is_preview: bool
+    within: tuple[int, ...]
+    """Places of directories of further pictures that belong to this page."""
+    following: int
+    """Place of the next page; 0 after the last."""
+
+
+def _read_directory(file: BinaryFile, place: int, order: str, *, large: bool) -> _Directory:
+    head, entry, link = (order + code for code in (("Q", "HHQ8s", "Q") if large else ("H", "HHI4s", "I")))
+    file.seek(place)
+    (n_tags,) = struct.unpack(head, file.read(struct.calcsize(head)))
+    if n_tags > _MAX_TAGS:
+        raise ValueError(f"it has {n_tags:,} tags, more than {_MAX_TAGS:,}. Save it again as an ordinary TIFF")
+    is_preview, within, n_within = False, 0, 0
+    for _ in range(n_tags):
+        tag, kind, count, value = struct.unpack(entry, file.read(struct.calcsize(entry)))
+        (number,) = struct.unpack_from(order + ("H" if kind == _SHORT else "Q" if large else "I"), value)
+        if tag in _STRIP_TAGS and count > _MAX_STRIPS:
+            raise ValueError(
+                f"it has {count:,} strips or tiles, more than {_MAX_STRIPS:,}. Save it again as an ordinary TIFF"
+            )
+        if tag == _DNG_TAG or (tag == _COLOURS_TAG and number in _SENSOR_COLOURS):
+            raise ValueError(_RAW)
+        if tag == _WITHIN_TAG:
+            within, n_within = number, min(count, _MAX_WITHIN)
+        is_preview |= tag == _KIND_TAG and number & 1 == 1
+    (following,) = struct.unpack(link, file.read(struct.calcsize(link)))
+    places = (within,)
+    if n_within > 1:  # then the places themselves stand there
+        file.seek(within)
+        places = struct.unpack(link[0] + n_within * link[1], file.read(n_within * struct.calcsize(link)))
+    return _Directory(n_tags, is_preview, places if n_within else (), following)
 
 
 def _check_jp2(file: BinaryFile) -> None:
@@ -200,6 +258,42 @@ def _check_coding(segment: bytes, grid: bytes, *, of_component: bool) -> None:
             f"{_MAX_BLOCKS:,}. Save it again in one tile, as an ordinary JPEG 2000"
         )
 
+
+def _other_kind(start: bytes) -> str | None:
+    """Return what a file is that is no photo, by its first bytes, and what to do about it; None for photos."""
+    if not start:
+        return "it is empty. Copy it again"
+    if start[4:8] == b"ftyp":
+        brands = {start[place : place + 4] for place in range(8, min(len(start), int.from_bytes(start[:4], "big")), 4)}
+        if start[8:12] == b"crx ":
+            return _RAW
+        if brands & {b"avif", b"avis"}:
+            return None
+        return _HEIC if brands & _HEIC_BRANDS else _FILM
+    bare = start.lstrip().lower()
+    return next((what for prefixes, what in _OTHERS.items() if start.startswith(prefixes) or bare.startswith(prefixes)),
+                None)  # fmt: skip
+
+
+_RAW = "it is a camera's raw file. Develop it to JPEG or TIFF, e.g. with darktable"
+_HEIC = "it is HEIC, as phones write it. Save it as JPEG, e.g. heif-convert PHOTO.heic PHOTO.jpg"
+_FILM = "it is a film. Take pictures out of it, e.g. ffmpeg -i FILM frames/%05d.png"
+_DOCUMENT = "it is a document. Save its picture as JPEG or PNG"
+_LIGHT = "it holds a wide range of light. Save it as JPEG or PNG, as it looks on a screen"
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
+
+_OTHERS = {
+    (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM", b"II\x1a\0\0\0HEAPCCDR"): _RAW,
+    (b"\x1aE\xdf\xa3", b"FLV", b"OggS", b"\0\0\1\xba"): _FILM,
+    (b"8BPS", b"8BPB", b"%PDF", b"%!PS", b"\xc5\xd0\xd3\xc6", b"gimp xcf", b"<svg", b"<?xml"): _DOCUMENT,
+    (b"\x76\x2f\x31\x01", b"#?RADIANCE", b"#?RGBE", b"PF\n", b"Pf\n"): _LIGHT,
+    (b"\0\0\0\x0cJXL ", b"\xff\x0a"): "it is JPEG XL. Save it as JPEG or PNG",
+    (b"\0\0\1\0", b"icns"): "it is an icon, of several sizes. Save one of them as PNG",
+    (b"version https://git-lfs",): "it only stands for a file that Git LFS keeps. Fetch that: git lfs pull",
+    (b"<!doctype html", b"<html"): "it is a web page, which a site sent in place of the picture. Download it again",
+    (b"PK\3\4", b"Rar!", b"7z\xbc\xaf", b"\x1f\x8b"): "it is an archive. Unpack it first",
+}
+"""How files that are often taken for photos begin → what they are, and what to do."""
 
 _CHECKS = {
     (b"\xff\xd8",): _check_jpeg,

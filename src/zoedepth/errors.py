@@ -31,6 +31,13 @@ class InputError(ZoeDepthError, ValueError):
     """A file, array or option cannot be used. The message names it and says how to mend it."""
 
 
+class InputWarning(Warning):
+    """A file or array can be used, but is hardly what was meant. The message names it and says what to do.
+
+    Silence it with ``warnings.simplefilter("ignore", zoedepth.errors.InputWarning)``.
+    """
+
+
 class TrainingError(ZoeDepthError):
     """A training cannot go on. The message says what happened, at which step and with which images."""
 

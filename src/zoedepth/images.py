@@ -6,8 +6,10 @@ Every photograph that enters the package, as a file, a PIL image, an array or a 
 
 import os
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -17,7 +19,8 @@ from jaxtyping import Float32, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from zoedepth.claims import BinaryFile, check_claims
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
+from zoedepth.pictures import n_full_pages, open_picture
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
 DepthArray = Float32[np.ndarray, "_height _width"]
@@ -42,7 +45,7 @@ PNG_SCALE_KITTI = 256.0
 PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
-_FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
+_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
 # A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots of 8K and pages at 600 dpi
 # pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
 _FREE_BYTES, _MAX_RATIO = 105_000_000, 256
@@ -50,6 +53,11 @@ _RATIOS = {"TGA": 16}  # nobody stores photos so; renders with large flat parts 
 # Bytes of a pixel that count, where they are not 3. Reading most formats takes 7 (4 in Pillow, 3 in the image); these
 # decoders keep more copies, 16, 9 and 19 bytes as measured, and count in proportion.
 _BYTES = {"WEBP": 7, "AVIF": 4, "JPEG2000": 8}
+_ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
+_PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
+_MAX_STREAM = 1 << 29  # bytes
+_DIM_16_BITS = 1 << 14  # with a largest value below, 16 bits hold 14 or fewer
+_DARK, _PLAIN = 6, 4  # of 255: a largest value below, and a spread below
 _BAND = 1 << 18  # pixels that are converted at once
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
@@ -66,48 +74,58 @@ _UPRIGHT = {
 }
 
 
-def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> ImageArray:
+def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS, photo: bool = True) -> ImageArray:
     """Read a photograph as uint8 (height, width, 3), RGB, [0, 255], turned upright by its EXIF orientation.
 
     Grey is repeated to three channels; palette, CMYK and YCbCr are converted; colour profiles are ignored. Alpha is
     dropped, not composited: the colours under it are kept, and no edge is invented. 16-bit grey spans 0..65535; float
-    TIFF must be in [0, 1]. The first of several frames is read.
+    TIFF must be in [0, 1]. The first of several frames is read, and the full picture where there are previews, masks, a
+    second view, a gain map or a depth map beside it.
 
     Args:
         source: a path, or a binary file open for reading.
         max_pixels: the most pixels (height * width) a file may claim; one with more is refused before it is decoded.
+        photo: False for a mask or a map that is stored as a picture: then nothing is said about what shows in it.
 
     Raises:
         InputError: the file is missing, not an image, cut short, too large, far too small for the pixels it claims, or
             in a mode that has no meaning here.
+
+    Warns:
+        InputWarning: it is nearly black or of one colour, has 16 bits and uses 14 or fewer, has several pages or
+            frames, or is a panorama.
     """
-    return read_image_with_orientation(source, max_pixels=max_pixels)[0]
+    return _read(source, max_pixels=max_pixels, photo=photo)[0]
 
 
 def read_image_with_orientation(
     source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS
 ) -> tuple[ImageArray, int]:
     """Read a photograph as ``read_image`` does; returns the EXIF orientation by which it was turned upright, too."""
-    picture, orientation = _open(source, max_pixels=max_pixels)
-    with picture:
-        return _from_upright(picture, _name(source)), orientation
+    return _read(source, max_pixels=max_pixels)
 
 
-def to_image(source: Any) -> ImageArray:
+def to_image(source: Any, *, upright: bool = True) -> ImageArray:
     """Turn anything that holds a picture into an image: uint8 (height, width, 3), RGB, [0, 255].
 
     Args:
         source: a path or open file (see ``read_image``); a ``PIL.Image.Image``; a numpy array (H, W) or (H, W, 1|3|4),
             RGB, uint8, uint16 (0..65535) or float in [0, 1]; a torch tensor (H, W) or (1|3|4, H, W) of the same types.
-            Floats are rounded to 8 bits, so that a photograph gives the same depth whichever way it comes in.
+            Floats are rounded to 8 bits, so that a photograph gives the same depth whichever way it comes in. BGR, as
+            OpenCV has it, cannot be told from RGB: turn it round, ``image[..., ::-1]``. Floats in linear light cannot
+            be told from those of a screen (sRGB), which are expected.
+        upright: False leaves a PIL image as it is stored, whatever its EXIF orientation.
+
+    Warns:
+        InputWarning: see ``read_image``.
 
     Raises:
         InputError: another type, shape or range; the message says what is expected.
     """
-    if isinstance(source, str | Path) or hasattr(source, "read"):
-        return read_image(source)
+    if isinstance(source, str | os.PathLike) or hasattr(source, "read"):
+        return read_image(Path(source) if isinstance(source, os.PathLike) else source)
     if isinstance(source, Image.Image):
-        return _from_pil(source, "the PIL image")
+        return _from_pil(source, "the PIL image", upright=upright)
     if isinstance(source, np.ndarray):
         return _from_array(source, "the array")
     torch = sys.modules.get("torch")  # imported already if this is a tensor; others should not wait for it
@@ -152,22 +170,29 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def _read(source: str | Path | BinaryFile, *, max_pixels: int, photo: bool = True) -> tuple[ImageArray, int]:
+    picture, orientation = _open(source, max_pixels=max_pixels)
+    with picture:
+        return _from_upright(picture, _name(source), photo=photo), orientation
+
+
 def _name(source: str | Path | BinaryFile) -> str:
     return str(source) if isinstance(source, str | Path) else str(getattr(source, "name", "the open file"))
 
 
 def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> tuple[Image.Image, int]:
-    """Open, decode and turn a picture (``load_upright``), with one kind of error for all that can be wrong with a file."""
+    """Open, decode and turn a picture (``load_upright``), with one kind of error for whatever is wrong with a file."""
     name = _name(source)
     if name.startswith(("http://", "https://")):
         raise InputError(f"{name} is an address, not a file: download it first")
-    Image.init()
     try:
         with open(source, "rb") if isinstance(source, str | Path) else nullcontext(source) as file:
+            file = _seekable(file)
             _check_claims(file, name)
-            picture = Image.open(file, formats=[known for known in _FORMATS if known in Image.OPEN])
+            picture = open_picture(file, _FORMATS)
             _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
+            _warn_of_more(picture, name)
             picture, orientation = load_upright(picture)
     except InputError:
         raise
@@ -175,11 +200,35 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> t
         raise InputError(f"{name} cannot be opened: {error.strerror}; check the path") from error
     except UnidentifiedImageError as error:
         raise InputError(f"{name} is not an image in a known format: convert it to JPEG or PNG") from error
-    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
-        raise InputError(f"{name} is too large to decode: resize it ({error})") from error
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{name} cannot be read, it may be cut short or damaged: copy it again ({error})") from error
     return picture, orientation
+
+
+def _seekable(file: BinaryFile) -> BinaryFile:
+    """Return a file that can be gone through twice: streams of the web and of other programs cannot."""
+    if file.seekable():
+        file.seek(0)
+        return file
+    content = file.read(_MAX_STREAM + 1)
+    if len(content) > _MAX_STREAM:
+        raise ValueError(f"the stream is longer than {_MAX_STREAM:,} bytes")
+    return BytesIO(content)
+
+
+def _warn_of_more(picture: Image.Image, name: str) -> None:
+    """Say that a file holds more than the picture that is read, or another kind of picture than a model is for."""
+    if n_full_pages(picture) > 1 or (picture.format in _ANIMATED and getattr(picture, "is_animated", False)):
+        _warn(f"{name} has several pages or frames, and the first is read. Save each as a photo of its own")
+    notes = picture.info.get("xmp", b"")
+    if (notes if isinstance(notes, bytes) else str(notes).encode()).find(_PANORAMA) >= 0:
+        _warn(
+            f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, InputWarning, stacklevel=2)
 
 
 def _check_claims(file: BinaryFile, name: str) -> None:
@@ -207,13 +256,19 @@ def _check_size(picture: Image.Image, file: BinaryFile, name: str, max_pixels: i
 def as_array(picture: Image.Image, mode: str) -> np.ndarray:
     """Return the values of a picture in another mode. Only bands of it are copied on the way: that is twice as fast."""
     n_rows = max(1, _BAND // max(1, picture.width))
-    values = np.asarray(picture.crop((0, 0, picture.width, min(n_rows, picture.height))).convert(mode))
+
+    def band(top: int, bottom: int) -> Image.Image:
+        part = picture.crop((0, top, picture.width, bottom))
+        part.info.pop("transparency", None)  # it is dropped, and Pillow warns of it in palettes
+        return part.convert(mode)
+
+    values = np.asarray(band(0, min(n_rows, picture.height)))
     if n_rows >= picture.height:
         return values
     values = np.empty((picture.height, *values.shape[1:]), values.dtype)
     for top in range(0, picture.height, n_rows):
         bottom = min(top + n_rows, picture.height)
-        values[top:bottom] = picture.crop((0, top, picture.width, bottom)).convert(mode)
+        values[top:bottom] = band(top, bottom)
     return values
 
 
@@ -247,15 +302,18 @@ def check_tiles(picture: Image.Image) -> None:
         raise ValueError(f"its tiles of {width} x {height} pixels are larger than the picture")
 
 
-def _from_pil(picture: Image.Image, name: str) -> ImageArray:
+def _from_pil(picture: Image.Image, name: str, *, upright: bool) -> ImageArray:
     try:
-        picture, _ = load_upright(picture)  # a PIL image handed in may not be decoded yet
+        if upright:
+            picture, _ = load_upright(picture)  # a PIL image handed in may not be decoded yet
+        else:
+            picture.load()
     except Exception as error:  # see ``_open``
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
     return _from_upright(picture, name)
 
 
-def _from_upright(picture: Image.Image, name: str) -> ImageArray:
+def _from_upright(picture: Image.Image, name: str, *, photo: bool = True) -> ImageArray:
     try:
         values = as_array(picture, picture.mode if picture.mode == "F" or picture.mode.startswith("I") else "RGB")
     except Exception as error:  # see ``_open``
@@ -264,7 +322,7 @@ def _from_upright(picture: Image.Image, name: str) -> ImageArray:
         if values.size and (values.min() < 0 or values.max() > PNG_MAX):
             raise InputError(f"{name} has integers outside 0..65535: convert it to 8 or 16 bits")
         values = values.astype(np.uint16)
-    return _from_array(values, name)
+    return _from_array(values, name, photo=photo)
 
 
 def load_upright(picture: Image.Image) -> tuple[Image.Image, int]:
@@ -280,7 +338,7 @@ def load_upright(picture: Image.Image) -> tuple[Image.Image, int]:
     return picture, by_pillow if by_pillow in _UPRIGHT else 1
 
 
-def _from_array(array: np.ndarray, name: str) -> ImageArray:
+def _from_array(array: np.ndarray, name: str, *, photo: bool = True) -> ImageArray:
     """Turn (H, W) or (H, W, 1|3|4) of uint8, uint16 or float in [0, 1] into an image."""
     if array.ndim == 2:
         array = array[..., None]
@@ -291,7 +349,11 @@ def _from_array(array: np.ndarray, name: str) -> ImageArray:
         )
     if array.size == 0:
         raise InputError(f"{name} is empty: its shape is {array.shape}")
-    array = _to_uint8(array[..., :3], name)  # a fourth channel is alpha
+    array = array[..., :3]  # a fourth channel is alpha
+    dim = photo and _warn_if_dim(array, name)
+    array = _to_uint8(array, name)
+    if photo and not dim:
+        _warn_if_nothing_shows(array, name)
     return np.ascontiguousarray(np.broadcast_to(array, (*array.shape[:2], 3)))
 
 
@@ -304,8 +366,31 @@ def _to_uint8(array: np.ndarray, name: str) -> np.ndarray:
         raise InputError(f"{name} has type {array.dtype}: expected uint8, uint16 or float in [0, 1]")
     low, high = float(array.min()), float(array.max())
     if not (low >= -1e-3 and high <= 1 + 1e-3):  # also when one of them is not a number
-        raise InputError(f"{name} has values in [{low:.4g}, {high:.4g}]: scale floats to [0, 1], or pass uint8")
+        raise InputError(
+            f"{name} has values in [{low:.4g}, {high:.4g}]: scale floats to [0, 1], or pass uint8. "
+            "Linear light must be brought to the values of a screen (sRGB) first"
+        )
     return np.rint(array.astype(np.float32).clip(0, 1) * 255).astype(np.uint8)
+
+
+def _warn_if_dim(array: np.ndarray, name: str) -> bool:
+    """Say so where 16 bits hold a picture of fewer bits, as those of thermal and industrial cameras do."""
+    if array.dtype.kind != "u" or array.dtype.itemsize != 2 or not 0 < (largest := int(array.max())) < _DIM_16_BITS:
+        return False
+    _warn(
+        f"{name} is too dark: it has 16 bits, read as 0 to {PNG_MAX}, and its largest value is {largest}. "
+        f"Stretch it first: multiply its values by {PNG_MAX // largest}"
+    )
+    return True
+
+
+def _warn_if_nothing_shows(image: UInt8[np.ndarray, "height width channels"], name: str) -> None:
+    """Say so where a picture is nearly black or of one colour: a look at 64 x 64 pixels clears most others."""
+    some = image[:: 1 + image.shape[0] // 64, :: 1 + image.shape[1] // 64]
+    if some.max() < _DARK and image.max() < _DARK:
+        _warn(f"{name} is nearly black: its largest value is {image.max()} of 255. Nothing can be seen in it")
+    elif np.ptp(some, axis=(0, 1)).max() < _PLAIN and np.ptp(image, axis=(0, 1)).max() < _PLAIN:
+        _warn(f"{name} is nearly of one colour. Nothing can be seen in it, and its depth says nothing")
 
 
 def _channels_last(tensor: Any) -> np.ndarray:

@@ -26,9 +26,18 @@ def test_whole_numbers_in_an_array_are_metres_too(tmp_path: Path) -> None:
 
 
 def test_archive_without_depth_is_an_error_that_says_what_it_has(tmp_path: Path) -> None:
-    np.savez(tmp_path / "depth.npz", metres=METRES)
-    with pytest.raises(InputError, match=r"depth\.npz.*no array 'depth', but \['metres'\]"):
+    for arrays, said in (({"metres": METRES}, "metres"), ({"arr_0": METRES, "arr_1": METRES}, "arr_0, arr_1")):
+        np.savez(tmp_path / "depth.npz", **arrays)
+        with pytest.raises(InputError, match=rf"depth\.npz.*no array 'depth', but {said}\. Save the one of depth"):
+            read_depth(tmp_path / "depth.npz")
+    np.savez(tmp_path / "depth.npz")
+    with pytest.raises(InputError, match="no array 'depth', but none at all"):
         read_depth(tmp_path / "depth.npz")
+
+
+def test_the_only_array_needs_no_name(tmp_path: Path) -> None:
+    np.savez(tmp_path / "depth.npz", METRES)
+    np.testing.assert_array_equal(read_depth(tmp_path / "depth.npz"), METRES)
 
 
 def test_pfm_is_turned_upright_in_either_byte_order(tmp_path: Path) -> None:

@@ -69,8 +69,8 @@ def write_bombs(folder: Path) -> list[list[str]]:
     for name, content in files.items():
         (folder / name).write_bytes(content)
     found = [["read_pfm" if name.endswith("pfm") else "read_depth", str(folder / name)] for name in files]
-    found += [["read_mask", str(folder / "zeros.png")], ["read_png_with_text", str(folder / "text.png")],
-              ["read_image", str(folder / "tile.tif")], ["read_image", str(folder / "zeros.png")]]  # fmt: skip
+    found += [["read_mask", str(folder / "zeros.png")], ["read_image", str(folder / "tile.tif")],
+              ["read_image", str(folder / "zeros.png")]]  # fmt: skip
     for suffix in ("webp", "jp2", "avif") if features.check("avif") else ("webp", "jp2"):
         Image.new("RGB", (5200, 5200)).save(folder / f"flat.{suffix}")  # decoders that keep several copies
         found.append(["read_image", str(folder / f"flat.{suffix}")])

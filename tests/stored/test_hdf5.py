@@ -88,3 +88,13 @@ def test_chunks_that_were_never_written_are_zero(tmp_path: Path) -> None:
     expected = np.zeros((8, 8))
     expected[:2, :2] = 1
     np.testing.assert_array_equal(read_hdf5(tmp_path / "a.h5", "depth"), expected)
+
+
+def test_keys_are_listed_where_there_is_no_such_map(tmp_path: Path) -> None:
+    def write(file) -> None:
+        for name in ("rgb", "depth_m", "pose"):
+            file.create_dataset(name, data=np.ones((2, 3), np.float32))
+
+    bombs.hdf5(tmp_path / "a.h5", write)
+    with pytest.raises(InputError, match=r"a\.h5 is not an HDF5 file with a map 'depth' \(it has depth_m, pose, rgb\)"):
+        read_hdf5(tmp_path / "a.h5", "depth")

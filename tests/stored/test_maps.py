@@ -1,5 +1,6 @@
 """Depth maps and masks are read back as written, in metres, and refused where a file is damaged or is no map."""
 
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -64,8 +65,9 @@ def test_png_of_this_package_says_its_scale(tmp_path: Path) -> None:
 @pytest.mark.parametrize("mode", ["L", "RGB", "P", "1"])
 def test_picture_that_is_no_depth_is_an_error(tmp_path: Path, mode: str) -> None:
     Image.new(mode, (2, 2)).save(tmp_path / "photo.png")
-    with pytest.raises(InputError, match=r"photo\.png is not a depth map"):
+    with pytest.raises(InputError, match=r"photo\.png is not a depth map") as raised:
         read_depth(tmp_path / "photo.png", scale=1000)
+    assert ("packed into red, green and blue" in str(raised.value)) == (mode == "RGB")
 
 
 @pytest.mark.parametrize("name", ["missing.png", "missing.npy", "missing.npz", "missing.tif", "missing.exr"])
@@ -76,8 +78,11 @@ def test_missing_file_is_an_error_that_names_it(tmp_path: Path, name: str) -> No
 
 def test_other_suffix_is_an_error_that_lists_the_right_ones(tmp_path: Path) -> None:
     (tmp_path / "depth.jpg").write_bytes(b"")
-    with pytest.raises(InputError, match=r"depth\.jpg: use one of \.png, \.npy"):
+    with pytest.raises(InputError, match=r"depth\.jpg: use one of \.png, \.npy.* A \.jpg has 8 bits a pixel"):
         read_depth(tmp_path / "depth.jpg")
+    (tmp_path / "depth.xyz").write_bytes(b"")
+    with pytest.raises(InputError, match=r"depth\.xyz: use one of \.png.*shard\)$"):
+        read_depth(tmp_path / "depth.xyz")
 
 
 def test_rubbish_is_an_error_that_names_the_file(tmp_path: Path) -> None:
@@ -145,3 +150,44 @@ def test_relative_depth_of_this_package_says_so(tmp_path: Path) -> None:
     assert read_stored(tmp_path / "a.png").relative
     write_depth_png(tmp_path / "a.png", METRES)
     assert not read_stored(tmp_path / "a.png").relative
+
+
+def test_large_notes_of_a_png_do_not_hide_its_depth(tmp_path: Path) -> None:
+    """A profile or text beyond 1 MB is passed over, wherever it stands; the scale beside it is found."""
+    path = picture(tmp_path / "depth.png", np.array([[500]], np.uint16))
+    content = path.read_bytes()
+    large = zlib.compress(b"a" * 3_000_000)
+    path.write_bytes(
+        content[:33]
+        + bombs.chunk(b"iCCP", b"scanner\0\0" + large)
+        + bombs.chunk(b"tEXt", b"workflow\0" + b"a" * 2_000_000)
+        + bombs.chunk(b"tEXt", b"DepthScale\x001000")
+        + content[33:-12]
+        + bombs.chunk(b"zTXt", b"later\0\0" + large)
+        + content[-12:]
+    )
+    assert read_depth(path).tolist() == [[0.5]]
+    assert declared_scale(path) == 1000
+    assert read_png_with_text(path)[1] == {"DepthScale": "1000"}
+
+
+def test_page_of_depth_is_the_only_full_one(tmp_path: Path) -> None:
+    depth, preview, other = (Image.fromarray(np.full((4, 6), value, np.uint16)) for value in (500, 7, 9))
+    path = tmp_path / "depth.tif"
+    preview.encoderinfo = {"tiffinfo": {254: 1}}
+    depth.save(path, save_all=True, append_images=[preview])
+    assert (read_depth(path, scale=1000) == 0.5).all()
+    other.save(path, save_all=True, append_images=[depth])
+    with pytest.raises(InputError, match=r"depth\.tif.*several pages: save the one of depth alone"):
+        read_depth(path, scale=1000)
+
+
+def test_what_is_not_known_is_0(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.array([[np.nan, np.inf, -np.inf, -1, 1e300, 2]]))
+    assert read_depth(tmp_path / "a.npy").tolist() == [[0, 0, 0, 0, 0, 2]]
+
+
+def test_relative_depth_is_not_read_as_metres(tmp_path: Path) -> None:
+    write_relative_png(tmp_path / "a.png", METRES)
+    with pytest.raises(InputError, match=r"a\.png holds relative depth, which has no metres"):
+        read_depth(tmp_path / "a.png", scale=1000)

@@ -52,7 +52,8 @@ ibims1_core_raw/calib/corridor_01.txt
         depth = read_png(pair.target).astype(np.float32) * (50 / 65535)
         known = depth > 0
         for path in pair.masks:
-            mask = read_image(path)[..., 0] > 0  # a photo's reader takes 1 bit, which a reader of depth refuses
+            # A photo's reader takes 1 bit, which a reader of depth refuses.
+            mask = read_image(path, photo=False)[..., 0] > 0
             if mask.shape != depth.shape:
                 raise InputError(f"{path} is {mask.shape} and {pair.target} is {depth.shape}: sizes must agree")
             known &= mask

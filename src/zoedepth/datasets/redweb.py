@@ -39,5 +39,5 @@ ReDWeb_V1/RDs/<name>.png
     def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
         assert pair.target is not None
         # A photo's reader, because it is not documented whether the grey is stored once or three times.
-        stored = read_image(pair.target)[..., 0]
+        stored = read_image(pair.target, photo=False)[..., 0]
         return 1 - stored.astype(np.float32) / 255, np.ones(stored.shape, bool)

@@ -13,6 +13,8 @@ from jaxtyping import Float32
 from zoedepth.images import check_expansion
 from zoedepth.stored.files import PIECE, BoundedFile, Map, Memory, check_map, read_binary
 
+_NAMELESS = "arr_0.npy"  # the array that np.savez gives no name
+_MOST_NAMED = 12
 _MAX_NPY_HEADER = 10_000
 _MAX_PGM_HEADER = 1000
 # Width, height and the greatest value, with white space or comments before each.
@@ -25,7 +27,7 @@ def read_npy(file: Path | Memory) -> Map:
 
 
 def read_npz(file: Path | Memory) -> Map:
-    """Read the array ``depth`` of an .npz file. Pickled objects are refused."""
+    """Read the array ``depth`` of an .npz file, or the only one without a name. Pickled objects are refused."""
     return read_binary(file, _parse_npz, "a readable .npz with one map of depth")
 
 
@@ -43,11 +45,13 @@ def _parse_npz(file: IO[bytes]) -> np.ndarray:
     bounded: Any = BoundedFile(file, max_bytes=PIECE)  # as much of a file as zipfile uses
     with zipfile.ZipFile(bounded) as archive:
         names = archive.namelist()
-        if "depth.npy" not in names:
-            raise ValueError(f"it has no array 'depth', but {[Path(name).stem for name in names[:5]]}")
-        member = archive.getinfo("depth.npy")
+        name = _NAMELESS if names == [_NAMELESS] else "depth.npy"
+        if name not in names:
+            found = ", ".join(Path(name).stem for name in names[:_MOST_NAMED]) + (", ..." * (len(names) > _MOST_NAMED))
+            raise ValueError(f"it has no array 'depth', but {found or 'none at all'}. Save the one of depth as 'depth'")
+        member = archive.getinfo(name)
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise ValueError("its array 'depth' is compressed in a way that numpy does not use")
+            raise ValueError("its array is compressed in a way that numpy does not use")
         check_expansion(member.file_size, member.compress_size)
         with archive.open(member) as opened:
             return _parse_npy(opened)
@@ -76,7 +80,8 @@ def _parse_pfm(file: IO[bytes]) -> Float32[np.ndarray, "height width"]:
     width, height = (int(side) for side in size.split())
     order = "<" if float(scale) < 0 else ">"
     if kind != "Pf" or width < 1 or height < 1:
-        raise ValueError(f"it is a {kind!r} of {width} x {height}, not a 'Pf'")
+        colours = ": it has three channels" if kind == "PF" else ""
+        raise ValueError(f"it is a {kind!r} of {width} x {height}, not a 'Pf'{colours}")
     check_map((height, width), np.dtype(np.float32))
     content = _read_exactly(file, 4 * width * height)
     return np.frombuffer(content, f"{order}f4").reshape(height, width)[::-1].astype(np.float32)

@@ -8,14 +8,23 @@ from jaxtyping import Float32
 
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import MAX_PIXELS, check_expansion
-from zoedepth.stored.files import check_exists, check_map
+from zoedepth.stored.files import Map, check_exists, check_map
+
+# How channels of depth are called, without regard to case; V is Blender's name for one value. Beside them in one layer:
+# channels that make a vector of Z, a texture's place or a colour of V. Parts of names of layers that are not depth.
+_DEPTH, _SIBLINGS, _OTHER_LAYERS = {"z", "v", "depth"}, {"x", "y", "u", "s"}, ("mist", "index", "count", "mask")
+_MOST_NAMED = 12
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
-    """Read the one channel of an OpenEXR file. Of several, it is the first of Z, Y, R, G, B, then of the alphabet.
+    """Read the depth of an OpenEXR file: its only channel, or the one that is named so.
+
+    Of several channels in all parts it is the one whose last part is Z, V or Depth, as Blender's ``ViewLayer.Depth.Z``.
+    Normals, mist and the like, whose last part may be Z, are none. R, G and B that are equal are one channel.
 
     Raises:
-        InputError: the file is missing, damaged or too large.
+        InputError: the file is missing, damaged or too large; it has several channels, and which one is depth cannot be
+            told (they are listed); or it covers a part of the picture only.
         MissingExtraError: OpenEXR is not installed.
     """
     try:
@@ -27,13 +36,52 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
         with OpenEXR.File(str(path), header_only=True) as file:
             _check_exr([part.header for part in file.parts], path.stat().st_size)
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = file.channels()
-            names = sorted(channels, key=lambda name: ("ZYRGB".find(name) % 6, name))
-            values = np.asarray(channels[names[0]].pixels)
+            channels = {_name(part.name(), name): (part.header, np.asarray(channel.pixels))
+                        for part in file.parts for name, channel in part.channels.items()}  # fmt: skip
+            header, values = channels[_choose({name: values for name, (_, values) in channels.items()})]
+            _check_window(header)
         check_map(values.shape, values.dtype)
     except Exception as error:  # the library raises RuntimeError and others for damage of any kind
-        raise InputError(f"{path} is not a readable OpenEXR file ({error})") from error
+        raise InputError(f"{path} is not a readable OpenEXR file of depth ({error})") from error
     return values.astype(np.float32, copy=False)
+
+
+def _name(part: str, channel: str) -> str:
+    return channel if not part or channel.startswith(part) else f"{part}.{channel}"
+
+
+def _choose(channels: dict[str, Map]) -> str:
+    """Return the name of the channel of depth."""
+    if len(channels) == 1:
+        return next(iter(channels))
+    found = [name for name in channels if _may_be_depth(name, channels)]
+    named = [name for name in found if "depth" in name.lower()]
+    if len(named or found) == 1:
+        return (named or found)[0]
+    opaque = [name for name in channels if name.lower() not in ("a", "alpha")]
+    bare = all("." not in name for name in opaque)
+    if not found and bare and all(np.array_equal(channels[opaque[0]], channels[name]) for name in opaque[1:]):
+        return opaque[0]
+    more = f" and {len(channels) - _MOST_NAMED} more" if len(channels) > _MOST_NAMED else ""
+    raise ValueError(
+        f"which of its channels is depth cannot be told: {', '.join(sorted(channels)[:_MOST_NAMED])}{more}. Save depth "
+        "alone, as the only channel or as Z"
+    )
+
+
+def _may_be_depth(name: str, channels: dict[str, Map]) -> bool:
+    layer, _, last = name.lower().rpartition(".")
+    beside = {other.lower().rpartition(".")[2] for other in channels if other.lower().rpartition(".")[0] == layer}
+    return last in _DEPTH and not beside & _SIBLINGS and not any(word in layer for word in _OTHER_LAYERS)
+
+
+def _check_window(header: dict[str, Any]) -> None:
+    """Refuse a map of a part of the picture: it would lie elsewhere in the photo."""
+    data, display = ([tuple(map(int, corner)) for corner in header[f"{kind}Window"]] for kind in ("data", "display"))
+    if data != display:
+        raise ValueError(
+            f"its pixels cover {data[0]} to {data[1]}, and the picture is {display[0]} to {display[1]}: save all of it"
+        )
 
 
 def _check_exr(headers: list[dict[str, Any]], n_bytes: int) -> None:

@@ -1,7 +1,7 @@
 """Maps in HDF5 files, whose chunks are looked at before the library unpacks them."""
 
 import zlib
-from itertools import product
+from itertools import islice, product
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import check_expansion
 from zoedepth.stored.files import Map, check_exists, check_map
 
+_MOST_NAMED = 12
 _MAX_CHUNKS = 1 << 15  # 180 megapixels in chunks of 74 x 74
 _MAX_CHUNK = 1 << 24  # values
 _MAX_LZF_BYTES = 1 << 27
@@ -34,6 +35,8 @@ def read_hdf5(path: Path, key: str) -> Map:
         with h5py.File(path, "r") as file:
             if isinstance(file.get(key, getlink=True), h5py.ExternalLink):
                 raise ValueError(f"{key!r} is in another file")
+            if key not in file:
+                raise ValueError(f"it has {', '.join(sorted(islice(file, _MOST_NAMED))) or 'nothing'}")
             found = file[key]
             if found.file.filename != file.filename:  # behind a soft link may be an external one
                 raise ValueError(f"{key!r} is in another file")

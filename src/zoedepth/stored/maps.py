@@ -10,6 +10,7 @@ from PIL import Image
 from zoedepth.claims import check_claims
 from zoedepth.errors import InputError
 from zoedepth.images import MAX_PIXELS, DepthArray, as_array, check_expansion, check_tiles, load_upright
+from zoedepth.pictures import n_full_pages, open_picture
 from zoedepth.stored.arrays import read_npy, read_npz, read_pfm, read_pgm
 from zoedepth.stored.exr import read_exr
 from zoedepth.stored.files import Map, Memory, check_exists
@@ -26,6 +27,17 @@ RELATIVE_KEY = "RelativeMin"
 # Bytes of a pixel that count, by mode: half of what reading takes, with the copy in metres; others have 4.
 _BYTES = {"1": 2, "L": 2, "P": 2, "I;16": 3, "I;16B": 3}
 _PICTURES = {".png": "PNG", ".tif": "TIFF", ".tiff": "TIFF"}
+# Suffixes of files in which people keep depth, and why it is not read from them.
+_NOT_READ = {
+    **dict.fromkeys((".jpg", ".jpeg", ".webp", ".avif"), "has 8 bits a pixel, which its compression changes"),
+    **dict.fromkeys((".bmp", ".gif", ".tga", ".ppm"), "has 8 bits a pixel"),
+    **dict.fromkeys((".h5", ".hdf5", ".mat"), "may hold many arrays"),
+    **dict.fromkeys((".ply", ".pcd", ".las"), "holds points and not a map"),
+    **dict.fromkeys((".bin", ".raw", ".dat"), "does not say its size and type"),
+}
+# What pictures of other modes than one channel of numbers may be.
+_COLOURS = "colours. Depth packed into red, green and blue, or shown by a colour map, is not read, for nothing says how"
+_MODES = {"P": "a palette of colours", "1": "1 bit a pixel", "LA": "grey with transparency"}
 
 
 class StoredMap(NamedTuple):
@@ -55,8 +67,12 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     """
     path = Path(path)
     stored = read_stored(path)
+    if stored.relative:
+        raise InputError(f"{path} holds relative depth, which has no metres. Predict depth with a model of metres")
     if path.suffix.lower() not in (*_PICTURES, ".pgm") or stored.values.dtype.kind == "f":
-        return stored.values.astype(np.float32, copy=False)
+        with np.errstate(over="ignore"):  # float64 beyond float32 is as unknown as infinity
+            depth = stored.values.astype(np.float32)
+        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
     if stored.values.dtype.itemsize < 2:
         raise InputError(f"{path} is not a depth map: it has 8 bits a pixel. Give a PNG of one channel of 16 bits")
     scale = scale or stored.scale
@@ -85,7 +101,9 @@ def read_stored(file: Path | Memory) -> StoredMap:
         return StoredMap(read_pfm(file))
     if suffix == ".pgm":
         return StoredMap(read_pgm(file))
-    raise InputError(f"cannot read depth from {file}: use one of {', '.join(DEPTH_SUFFIXES)} (.exr not inside a shard)")
+    reason = f". A {suffix} {_NOT_READ[suffix]}" if suffix in _NOT_READ else ""
+    suffixes = f"{', '.join(DEPTH_SUFFIXES)} (.exr not inside a shard)"
+    raise InputError(f"cannot read depth from {file}: use one of {suffixes}{reason}")
 
 
 def declared_scale(path: Path) -> float | None:
@@ -93,7 +111,7 @@ def declared_scale(path: Path) -> float | None:
     try:
         with path.open("rb") as file:
             check_claims(file)
-            return _scale_in(Image.open(file, formats=["PNG"]))  # reads no more than the header
+            return _scale_in(open_picture(file, ["PNG"]))  # decodes nothing
     except Exception:  # whoever reads the map says what is wrong with the file
         return None
 
@@ -123,7 +141,7 @@ def read_png16(path: Path) -> UInt16[np.ndarray, "height width"]:
 def read_png_with_text(path: Path) -> tuple[Map, dict[str, str]]:
     """Read the stored values of a PNG of one channel of 8 or 16 bits, and its text chunks."""
     values = read_png(path)
-    with Image.open(path, formats=["PNG"]) as picture:
+    with path.open("rb") as file, open_picture(file, ["PNG"]) as picture:
         return values, {str(key): value for key, value in picture.info.items() if isinstance(value, str)}
 
 
@@ -132,10 +150,12 @@ def _read_picture(file: Path | Memory, format: str, *, one_bit: bool = False) ->
     try:
         with file if isinstance(file, Memory) else file.open("rb") as opened:
             check_claims(opened)
-            picture = Image.open(opened, formats=[format])
+            picture = open_picture(opened, [format])
             if picture.width * picture.height > MAX_PIXELS:
                 raise ValueError(f"{picture.width} x {picture.height} are more than {MAX_PIXELS:,} pixels")
             check_tiles(picture)
+            if n_full_pages(picture) > 1:
+                raise ValueError("it has several pages: save the one of depth alone")
             n_bytes = file.getbuffer().nbytes if isinstance(file, Memory) else file.stat().st_size
             check_expansion(picture.width * picture.height * _BYTES.get(picture.mode, 4), n_bytes)
             mode, scale, relative = picture.mode, _scale_in(picture), RELATIVE_KEY in picture.info
@@ -145,7 +165,8 @@ def _read_picture(file: Path | Memory, format: str, *, one_bit: bool = False) ->
         raise InputError(f"{file} is not a readable {format} ({error})") from error
     if values.ndim != 2 or mode == "P" or (mode == "1" and not one_bit):
         raise InputError(
-            f"{file} is not a depth map: it must be a {format} of one channel of 8 or 16 bits, and is of mode {mode!r}"
+            f"{file} is not a depth map: it must be a {format} of one channel of 8 or 16 bits, and has "
+            f"{_MODES.get(mode, _COLOURS)} (mode {mode!r})"
         )
     return StoredMap(values, scale, orientation, relative)
 

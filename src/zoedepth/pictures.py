@@ -1,0 +1,126 @@
+"""The picture in a file, opened by Pillow's readers: the full one, whatever else the file holds."""
+
+import struct
+import zlib
+from collections.abc import Iterable
+from io import BytesIO
+
+from PIL import Image, UnidentifiedImageError
+from PIL.JpegImagePlugin import JpegImageFile
+
+from zoedepth.claims import BinaryFile
+
+# TIFF's tag of the kind of a page, NewSubfileType, with the bits of previews and masks; and its predecessor's value.
+_KIND_TAG, _PREVIEW_OR_MASK, _OLD_KIND_TAG, _OLD_PREVIEW = 254, 0b101, 255, 2
+_MAX_NOTES = 1 << 20  # bytes of the texts and the profile of a PNG together, unpacked: what Pillow allows for one
+_MAX_UNPACKED = 64 * _MAX_NOTES  # bytes that are unpacked to find that out
+
+
+def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
+    """Open the picture of a file as ``PIL.Image.open`` does. Nothing is decoded yet.
+
+    Of a TIFF it is the first page that is no preview and no mask. The first is the full one in all other formats: JPEGs
+    with a second view, a depth map or a gain map behind it (MPO, Ultra HDR), animations.
+
+    Pillow warns of pictures of more than 90 megapixels, and refuses texts and profiles of a PNG of more than 1 MB. Both
+    would hit sound files, so neither is so here: the caller looks at the size, and large texts are passed over.
+
+    Args:
+        file: a file that ``check_claims`` has passed.
+        formats: Pillow's names of the formats that are tried.
+
+    Raises:
+        UnidentifiedImageError: it has another format. Readers raise nearly anything else on a damaged file.
+    """
+    Image.init()
+    file.seek(0)
+    start = file.read(16)
+    if start.startswith(b"\x89PNG"):
+        file = _without_large_notes(file)
+    for name in formats:
+        if name not in Image.OPEN:  # this Pillow was built without it
+            continue
+        reader, accepts = Image.OPEN[name]
+        verdict = accepts is None or accepts(start)
+        if not verdict or isinstance(verdict, str):  # a text says why it cannot be read here
+            continue
+        if name == "JPEG":
+            reader = JpegImageFile  # the registered one looks for further pictures, and warns where they are damaged
+        file.seek(0)
+        try:
+            picture = reader(file, "")
+        except (SyntaxError, IndexError, TypeError, struct.error):  # as Pillow says that it is another format after all
+            continue
+        if name == "TIFF":
+            _seek_full_page(picture)
+        return picture
+    raise UnidentifiedImageError("it is no picture in a known format")
+
+
+def n_full_pages(picture: Image.Image, *, most: int = 2) -> int:
+    """Return how many pages of a TIFF are neither previews nor masks, counted up to ``most``; 1 for other formats."""
+    if picture.format != "TIFF" or not getattr(picture, "is_animated", False):
+        return 1
+    here, found = picture.tell(), 1
+    try:
+        while found < most:
+            picture.seek(picture.tell() + 1)
+            found += not _is_preview(picture)
+    except EOFError:
+        pass
+    picture.seek(here)
+    return found
+
+
+def _seek_full_page(picture: Image.Image) -> None:
+    try:
+        while _is_preview(picture):
+            picture.seek(picture.tell() + 1)
+    except EOFError:  # they are all said to be previews, so the first is as good as any
+        picture.seek(0)
+
+
+def _is_preview(picture: Image.Image) -> bool:
+    tags = getattr(picture, "tag_v2", {})
+    return bool(int(tags.get(_KIND_TAG, 0)) & _PREVIEW_OR_MASK) or tags.get(_OLD_KIND_TAG) == _OLD_PREVIEW
+
+
+def _without_large_notes(file: BinaryFile) -> BinaryFile:
+    """Return a PNG without the texts and the colour profile beyond 1 MB; the file itself where there are none."""
+    kept, start, total, unpacked = [], 0, 0, 0
+    place = 8
+    while len(header := _read_at(file, place, 8)) == 8:
+        end = place + 12 + int.from_bytes(header[:4], "big")
+        if header[4:] in (b"tEXt", b"zTXt", b"iTXt", b"iCCP"):
+            n_bytes = _MAX_NOTES + 1
+            if end - place <= n_bytes and unpacked < _MAX_UNPACKED:
+                n_bytes = _unpacked_size(header[4:], _read_at(file, place + 8, end - place - 12))
+                unpacked += n_bytes
+            if total + n_bytes > _MAX_NOTES:
+                kept.append((start, place))
+                start = end
+            else:
+                total += n_bytes
+        place = end
+    if not kept:
+        return file
+    return BytesIO(b"".join(_read_at(file, begin, end - begin) for begin, end in [*kept, (start, place)]))
+
+
+def _unpacked_size(kind: bytes, content: bytes) -> int:
+    """Return how long a text or profile is, or a number beyond what is allowed."""
+    packed = content
+    if kind == b"iTXt":
+        packed = content.partition(b"\0")[2]
+        packed = packed[2:].split(b"\0", 2)[-1] if packed.startswith(b"\1") else b""
+    elif kind != b"tEXt":
+        packed = content.partition(b"\0")[2][1:]
+    try:
+        return len(content) + (0 if kind == b"tEXt" else len(zlib.decompressobj().decompress(packed, _MAX_NOTES + 1)))
+    except zlib.error:  # nothing of it is used
+        return len(content)
+
+
+def _read_at(file: BinaryFile, place: int, n_bytes: int) -> bytes:
+    file.seek(place)
+    return file.read(n_bytes)
