@@ -124,5 +124,5 @@ def check_png_scale(scale: float) -> None:
     """
     if not 0 < scale < float("inf"):
         raise InputError(
-            f"the PNG scale (--png-scale, scale=) is in levels per metre and must be positive, got {scale}: use 1000 or 256"
+            f"the PNG scale (--png-scale, scale=) must be levels per metre, above 0, got {scale}: use 1000 or 256"
         )
