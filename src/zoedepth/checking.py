@@ -100,7 +100,7 @@ class Report:
 
     @property
     def implausible(self) -> list[str]:
-        """Those of the problems that are about the values of depth."""
+        """Problems that are about the values of depth."""
         mark = self.doubts.mark
         marks = [str(mark)] if mark is not None and mark.certain else []
         return self.doubts.impossible + ([] if self.unit_known else self.doubts.unlikely + marks)

@@ -135,7 +135,7 @@ def doubts(glances: Sequence[Glance], *, max_depth: float | None = None) -> Doub
     """Judge the depth of a data set by some of its maps.
 
     Args:
-        glances: what a look at each of them shows.
+        glances: one for each of them.
         max_depth: metres from which on depth is unknown, where the data says so. What is left is depth then.
     """
     mark = find_mark(glances) if max_depth is None else None
