@@ -103,7 +103,7 @@ def test_encoder_is_chosen(tiny_recipe: Callable[[str], None], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("recipe", "options", "message"),
     [
-        ("tiny", ["--head", "bins"], r"there is no head 'bins'; there are attractor"),
+        ("tiny", ["--head", "bins"], "there is no head 'bins': did you mean"),
         ("tiny", ["--encoder", "resnet18"], "there is no encoder 'resnet18'"),
         ("bts_n", ["--head", "naive"], "a baseline's head cannot be changed"),
     ],
