@@ -174,6 +174,21 @@ def test_infer_equals_call(tiny_model: ZoeDepth) -> None:
             np.testing.assert_allclose(depth[row, 0], predictor(photo, domain=domain).depth, rtol=1e-4)
 
 
+@pytest.mark.parametrize("pixels", ["0 to 255", "normalised", "not a number"])
+def test_pixels_out_of_range_are_refused(tiny_model: ZoeDepth, pixels: str) -> None:
+    photo = torch.rand(1, 3, 40, 60, generator=torch.Generator().manual_seed(0))
+    wrong = {"0 to 255": photo * 255, "normalised": photo * 4.6 - 2.1, "not a number": photo / 0 - photo / 0}[pixels]
+    with pytest.raises(InputError, match=r"pixels are in \[.*\] and must be RGB in \[0, 1\]"):
+        Predictor(tiny_model).infer(wrong)
+    assert Predictor(tiny_model).infer(photo * 1.2 - 0.1).isfinite().all()  # resizing overshoots by as much
+
+
+@pytest.mark.parametrize("images", ["photo.jpg", Path("photo.jpg"), b"content"], ids=repr)
+def test_a_batch_is_a_list(tiny_model: ZoeDepth, images: object) -> None:
+    with pytest.raises(InputError, match="batch takes a list of photos"):
+        Predictor(tiny_model).batch(images)
+
+
 def test_threads_share_one(tiny_model: ZoeDepth) -> None:
     predictor, photos, results = Predictor(tiny_model), [smooth((40, 60), seed) for seed in range(6)], {}
 

@@ -14,7 +14,7 @@ from tests.servers import FileServer
 
 from zoedepth import torchhub
 from zoedepth.config import DecoderConfig, ModelConfig
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.sizes import network_size
@@ -127,9 +127,41 @@ class TestInterface:
         monkeypatch.setattr(interface, "infer", lambda *_: far)
         assert np.array(interface.infer_pil(photo(), output_type="pil")).tolist() == [[256, 65510, 65535, 65535, 0]]
 
-    def test_grey_and_transparent_images(self, model: ZoeDepth):
-        for mode in ("L", "RGBA", "P"):
-            assert OriginalInterface(model).infer_pil(photo().convert(mode)).shape == (45, 70)
+    def test_images_of_all_modes_are_read_as_predictor_reads_them(self, model: ZoeDepth):
+        interface, colours = OriginalInterface(model), photo()
+        grey = np.asarray(colours.convert("L"))
+        wanted = interface.infer_pil(Image.fromarray(grey))
+        levels = grey.astype(np.uint16) * 257
+        for image in (
+            Image.fromarray(levels),
+            Image.fromarray(levels.astype(np.int32)),
+            Image.frombytes("I;16B", colours.size, levels.astype(">u2").tobytes()),
+            Image.fromarray((grey / 255).astype(np.float32)),
+            Image.fromarray(grey).convert("LA"),
+        ):
+            np.testing.assert_array_equal(interface.infer_pil(image), wanted, err_msg=image.mode)
+        transparent = colours.copy()
+        transparent.putalpha(Image.fromarray(grey))
+        palette, black = colours.convert("P"), colours.convert("1")
+        for image, same in (
+            (transparent, colours), (colours.convert("CMYK"), colours),
+            (palette, palette.convert("RGB")), (black, black.convert("RGB")),
+        ):  # fmt: skip
+            np.testing.assert_array_equal(interface.infer_pil(image), interface.infer_pil(same), err_msg=image.mode)
+
+    def test_images_out_of_range_are_refused_and_dark_ones_are_named(self, model: ZoeDepth):
+        interface, grey = OriginalInterface(model), np.asarray(photo().convert("L"))
+        with pytest.raises(InputError, match="scale floats"):
+            interface.infer_pil(Image.fromarray(grey.astype(np.float32)))
+        with pytest.raises(InputError, match="integers outside"):
+            interface.infer_pil(Image.fromarray(grey.astype(np.int32) * 1000))
+        with pytest.warns(InputWarning, match="too dark: it has 16 bits"):
+            interface.infer_pil(Image.fromarray(grey.astype(np.uint16) * 16))
+
+    def test_exif_orientation_is_not_applied_as_in_the_original(self, model: ZoeDepth):
+        interface, turned = OriginalInterface(model), photo()
+        turned.getexif()[0x0112] = 6
+        np.testing.assert_array_equal(interface.infer_pil(turned), interface.infer_pil(photo()))
 
     def test_gradients_reach_the_pixels(self, model: ZoeDepth):
         x = torch.rand(1, 3, 45, 70, requires_grad=True)

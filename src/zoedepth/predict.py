@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -23,6 +24,8 @@ from zoedepth.sizes import network_size
 
 MAX_NETWORK_AREA = 16
 """A photo whose network input would be larger than this many times the trained size is refused."""
+
+_MAX_OVERSHOOT = 0.5  # beyond [0, 1]: resizing leads to less, pixels that are normalised or in 0..255 have more
 
 
 class Predictor:
@@ -101,9 +104,11 @@ class Predictor:
             batch_size: photos that are computed at the same time. Each takes memory.
 
         Raises:
-            InputError: ``batch_size`` is less than 1; otherwise see ``__call__``.
+            InputError: ``images`` is no list, or ``batch_size`` is less than 1; otherwise see ``__call__``.
         """
         self._check_mode()
+        if isinstance(images, str | bytes | Path):
+            raise InputError(f"batch takes a list of photos, got {type(images).__name__}: put one photo into brackets")
         if batch_size < 1:
             raise InputError(f"batch_size must be 1 or more, got {batch_size}")
         head = None if domain is None else self.domain_index(domain)
@@ -129,18 +134,24 @@ class Predictor:
         Gradients flow back to the pixels. Bicubic upsampling may overshoot at edges, to below zero for near things.
 
         Args:
-            pixels: RGB in [0, 1], of any size, on any device.
+            pixels: RGB in [0, 1], of any size, on any device, not normalised: the model does that.
             domain: index of the head each photo takes; None leaves it to the model's router.
 
         Returns:
             Metres, float32, on the predictor's device.
 
         Raises:
-            InputError: wrong shape or type, or the model is in training mode.
+            InputError: wrong shape, type or range, or the model is in training mode.
         """
         if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point() or 0 in pixels.shape:
             shape = tuple(pixels.shape)
             raise InputError(f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {shape}")
+        low, high = (float(value) for value in pixels.detach().aminmax())
+        if not (low > -_MAX_OVERSHOOT and high < 1 + _MAX_OVERSHOOT):  # also when one of them is not a number
+            raise InputError(
+                f"pixels are in [{low:.4g}, {high:.4g}] and must be RGB in [0, 1]: divide 8 bits by 255, and leave out "
+                "ImageNet's mean and deviation, which the model applies itself"
+            )
         self._check_mode()
         size = (pixels.shape[2], pixels.shape[3])
         resized = self._to_network(pixels.to(self.device).float(), self.network_size(size))

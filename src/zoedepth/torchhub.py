@@ -15,7 +15,7 @@ from zoedepth.build import build_model
 from zoedepth.config import AnyModelConfig, AttractorConfig, ModelConfig
 from zoedepth.download import download
 from zoedepth.errors import InputError
-from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI
+from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.pixels import resize_pixels
 from zoedepth.predict import Predictor
@@ -97,7 +97,7 @@ class OriginalInterface(nn.Module):
         """Compute depth in metres at the size of ``x``, RGB in [0, 1]. Gradients flow.
 
         Args:
-            x: photos.
+            x: photos, as they are: normalised by the model.
             pad_input: reflect the borders outwards before the network, and cut them off after.
             with_flip_aug: average with the prediction for the mirror image.
         """
@@ -113,18 +113,20 @@ class OriginalInterface(nn.Module):
         """Compute the depth of a PIL image, at its size.
 
         Args:
-            pil_img: image of any mode; as in the original, its EXIF orientation is not applied.
+            pil_img: image of any mode, read as ``Predictor`` reads it: 16 bits span 0 to 65535, floats are in [0, 1],
+                and alpha is dropped. As in the original, its EXIF orientation is not applied.
             pad_input: see ``infer``.
             with_flip_aug: see ``infer``.
             output_type: "numpy" float32 (height, width), metres; "tensor" the same on the CPU; "pil" a 16-bit image of
                 256 levels a metre, 255.996 m at most (the original wraps around there).
 
         Raises:
-            InputError: the output type is unknown.
+            InputError: the output type is unknown, or the image has values out of range, or a mode without colours.
         """
         if output_type not in ("numpy", "pil", "tensor"):
             raise InputError(f"output_type must be 'numpy', 'pil' or 'tensor', got {output_type!r}")
-        pixels = torch.from_numpy(np.array(pil_img.convert("RGB"))).permute(2, 0, 1)[None].float() / 255
+        image = to_image(pil_img, upright=False)
+        pixels = torch.tensor(image).permute(2, 0, 1)[None].float() / 255
         with torch.no_grad():
             depth = self.infer(pixels, pad_input, with_flip_aug)[0, 0].cpu()
         if output_type == "tensor":
