@@ -102,6 +102,9 @@ class TestCheckWritable:
         (tmp_path / "file").touch()
         with pytest.raises(InputError, match="file is no folder"):
             check_writable(tmp_path / "file" / "out")
+        (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+        with pytest.raises(InputError, match=r"^--sheet: cannot write to .*link is no folder"):
+            check_writable(tmp_path / "link/below", option="--sheet")
 
     def test_a_full_disk_is_noticed_when_bytes_are_written(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -64,7 +64,7 @@ def no_such(kind: str, name: str, known: Iterable[str], *, see: str = "") -> Inp
     """Return the error for a name that does not exist. It proposes names that look like it, and lists all if few.
 
     Args:
-        kind: what has the name, e.g. "recipe".
+        kind: kind of thing that has the name, e.g. "recipe".
         name: the name that was given.
         known: all names that there are.
         see: where all names are listed, for more than a few: "zoedepth train --help".

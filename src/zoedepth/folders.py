@@ -86,7 +86,7 @@ def service_folder(path: PurePath) -> str | None:
     """Return the first folder in a path that is one of ``SERVICE_FOLDERS``, or None.
 
     Args:
-        path: of a folder, relative to the one that is searched.
+        path: path of a folder, relative to the one that is searched.
     """
     above = ""
     for name in path.parts:
@@ -98,20 +98,24 @@ def service_folder(path: PurePath) -> str | None:
     return None
 
 
-def check_writable(folder: Path) -> None:
+def check_writable(folder: Path, *, option: str = "") -> None:
     """Write some bytes into a folder, or into that above it where it does not exist yet. They are gone afterwards.
+
+    Args:
+        folder: where files are to be written.
+        option: the option that named the folder, for the message.
 
     Raises:
         InputError: nothing can be written there.
     """
     existing = next(path for path in (folder, *folder.absolute().parents) if os.path.lexists(path))
+    problem = f"{option}: cannot write to {folder}" if option else f"cannot write to {folder}"
     if not existing.is_dir():
-        raise InputError(f"cannot write to {folder}: {existing} is no folder. Choose another folder to write to")
+        raise InputError(f"{problem}: {existing} is no folder. Choose another folder")
     try:
         with TemporaryFile(dir=existing) as file:
             file.write(bytes(_PROBE))
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"cannot write to {folder} ({reason}). Make room there, or choose another folder") from error
+        raise InputError(f"{problem} ({error.strerror or error}). Make room there, or choose another folder") from error

@@ -75,5 +75,5 @@ def test_other_peoples_shards_are_not_replaced(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_written_to_is_an_error_before_anything_is_read(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"OUT \S*file: cannot write"):
+    with pytest.raises(InputError, match=r"OUT: cannot write to \S*file"):
         run(tmp_path / "nowhere.csv", tmp_path / "file")

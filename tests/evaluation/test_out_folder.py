@@ -44,7 +44,7 @@ def test_file_in_the_place_of_a_folder_is_named(tmp_path: Path, name: str) -> No
     ("code", "message"),
     [
         (errno.ENOSPC, "No space left on device). Make room"),
-        (errno.EROFS, "Read-only file system). Give another --out"),
+        (errno.EROFS, "Read-only file system). Make room there, or choose another folder"),
     ],
 )
 def test_what_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, message) -> None:

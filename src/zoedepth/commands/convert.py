@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
+from zoedepth.folders import check_writable
 
 
 def convert(

@@ -13,8 +13,8 @@ import tyro
 
 from zoedepth.commands.options import WIDTH, call
 from zoedepth.commands.shard import shard
-from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError, no_such
+from zoedepth.folders import check_writable
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
-from zoedepth.commands.writable import check_writable
 from zoedepth.errors import MissingExtraError
+from zoedepth.folders import check_writable
 from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
 
@@ -39,7 +39,7 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
         out: folder to write to.
         model: a name of `zoedepth models`, or a file of weights.
     """
-    check_writable(out)
+    check_writable(out, option="--out")
     data = _skimage_data()
     photos = {"motorcycle": data.stereo_motorcycle()[0], "rocket": data.rocket(), "coffee": data.coffee()}
     truth = motorcycle_depth()

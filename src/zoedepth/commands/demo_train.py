@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.progress import track
-from zoedepth.commands.writable import check_writable
+from zoedepth.folders import check_writable
 from zoedepth.recipes import demo
 
 
@@ -33,7 +33,7 @@ def demo_train(
     from zoedepth.train.metric import train_metric
     from zoedepth.train.relative import train_relative
 
-    check_writable(out)
+    check_writable(out, option="--out")
     console = Console(stderr=True, highlight=False)
     began = time.monotonic()
     console.print(f"Rendering {scenes} scenes")

@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
+from zoedepth.folders import check_writable
 from zoedepth.images import IMAGE_SUFFIXES
 from zoedepth.stored import to_json
 
@@ -49,7 +49,7 @@ def export(
     path = out or Path(name + SUFFIXES[to])
     # What is wrong with the wish is said before a model is downloaded.
     check_wish(path, to=to, int8=int8, size=size)
-    check_writable(path.parent)
+    check_writable(path.parent, option="--out")
     if calibrate is not None and not int8:
         raise InputError("--calibrate is for --int8 only: add --int8, or leave it out")
     photos = []

@@ -111,7 +111,7 @@ def predict(
         searched = ", ".join(sources) or "no source given"
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
-    check_writable(out)
+    check_writable(out, option="--out")
     if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
         raise InputError(
             reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"

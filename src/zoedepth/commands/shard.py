@@ -4,8 +4,8 @@ from pathlib import Path
 
 import tyro
 
-from zoedepth.commands.writable import check_writable
 from zoedepth.errors import InputError
+from zoedepth.folders import check_writable
 
 
 def shard(

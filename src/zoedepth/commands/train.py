@@ -15,9 +15,9 @@ from rich.table import Table
 
 from zoedepth.commands.data import named_sources
 from zoedepth.commands.options import WIDTH, read
-from zoedepth.commands.writable import check_writable
 from zoedepth.config import BaselineConfig
 from zoedepth.errors import InputError, no_such
+from zoedepth.folders import check_writable
 from zoedepth.presets import with_encoder, with_head
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import FinetuneOptions, TrainConfig
@@ -102,7 +102,7 @@ def train(arguments: Sequence[str]) -> int:
         from zoedepth.train.relative import train_relative as train_stage
     else:
         from zoedepth.train.metric import train_metric as train_stage
-    check_writable(options.out)
+    check_writable(options.out, option="--out")
     print(
         train_stage(
             options.config,
@@ -146,7 +146,7 @@ def finetune(command: _FinetuneCommand) -> int:
     from zoedepth.train.log import Ticker, say
 
     console = Console(stderr=True, highlight=False)
-    check_writable(command.out)
+    check_writable(command.out, option="--out")
     ticker = Ticker("looking at the data", say)
     plan = finetuning.plan(named_sources(command.data), command.options, out=command.out, progress=ticker)
     for line in _described(plan, command.out):

@@ -92,7 +92,7 @@ class Stamps:
         Args:
             index: number of the image in the data set.
             name: name of the photo.
-            data: what ``of_data`` said before the image was read; None asks it now.
+            data: result of ``of_data`` before the image was read; None asks for it now.
         """
         source = None if self._of_source is None else self._of_source(name)
         return fingerprint([data or self.of_data(index), name, source])

@@ -133,8 +133,8 @@ class FolderSource:
         folder: where the depth maps are.
         scale: stored value of one metre, for all files of the folder. None takes what each PNG says, and floating point
             for metres.
-        kind: whether the maps are depth, or disparity (inverse depth up to an unknown scale and shift), as MiDaS and
-            its successors write them. None is depth, too, but lets ``plausible.check_predictions`` doubt it.
+        kind: "depth", or "disparity" (inverse depth up to an unknown scale and shift), as MiDaS and its successors
+            write it. None is depth, too, but lets ``plausible.check_predictions`` doubt it.
 
     Raises:
         InputError: the folder does not exist, or the scale is not positive.

@@ -124,7 +124,7 @@ def results_table(
         summaries: the summaries of all sources on this data set.
         data: its name.
         paper: (method, metric → value as printed) of the paper; they are not compared with ours.
-        best_only: of the paper's rows, show the one with the lowest REL and those of the sources alone.
+        best_only: show the sources' own rows, and the one with the lowest REL, alone from the paper.
     """
     lines = [_our_line(summary) for summary in summaries]
     note = ""
