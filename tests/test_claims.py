@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 from tests import bombs
 
+from zoedepth import claims
 from zoedepth.claims import check_claims
 from zoedepth.errors import InputError
 from zoedepth.images import read_image
@@ -265,6 +266,15 @@ def test_what_is_no_photo_is_named(content: bytes, message: str, tmp_path: Path)
     (tmp_path / "a.jpg").write_bytes(content)
     with pytest.raises(InputError, match=rf"a\.jpg is no ordinary photo: .*{message}"):
         read_image(tmp_path / "a.jpg")
+
+
+def test_heic_needs_a_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    for names in ((b"heic", b"mif1"), (b"mif1", b"heix"), (b"msf1", b"hevc")):
+        monkeypatch.setattr(claims, "HEIC_IS_READ", False)
+        with pytest.raises(ValueError, match=r"it is HEIC, as phones write it\. Install .*pip install pillow-heif"):
+            check_claims(io.BytesIO(brands(*names)))
+        monkeypatch.setattr(claims, "HEIC_IS_READ", True)
+        check_claims(io.BytesIO(brands(*names)))
 
 
 def test_avif_is_not_taken_for_a_film_or_heic() -> None:

@@ -16,6 +16,7 @@ from PIL import Image, PngImagePlugin, features
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.images import (
     _FORMATS,
+    IMAGE_SUFFIXES,
     PNG_MAX,
     as_array,
     atomic_path,
@@ -368,6 +369,40 @@ class TestBombs:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 5_000_000
+
+
+class TestHeic:
+    """The photos of phones, read where pillow-heif is installed."""
+
+    @pytest.fixture(autouse=True)
+    def _library(self) -> None:
+        library = pytest.importorskip("pillow_heif")
+        library.register_heif_opener()  # to write them; reading goes without
+
+    def test_main_picture_upright(self, photo: np.ndarray, tmp_path: Path) -> None:
+        shown, other = large(photo), Image.new("RGB", (16, 24), "red")
+        turned = Image.fromarray(shown).transpose(Image.Transpose.ROTATE_90)
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        options = {"quality": -1, "chroma": 444, "matrix_coefficients": 0}  # without loss
+        path = saved(turned, tmp_path / "IMG_1.HEIC", format="HEIF", exif=exif, **options)
+        image, orientation = read_image_with_orientation(path)
+        np.testing.assert_allclose(image.astype(int), shown, atol=3)
+        assert orientation == 6
+        both = saved(other, tmp_path / "IMG_2.heic", format="HEIF", save_all=True,
+                     append_images=[Image.fromarray(shown)], primary_index=1, **options)  # fmt: skip
+        np.testing.assert_allclose(read_image(both).astype(int), shown, atol=3)
+        assert {".heic", ".heif"} <= IMAGE_SUFFIXES
+
+    def test_bounds_hold(self, photo: np.ndarray, tmp_path: Path) -> None:
+        path = saved(Image.fromarray(large(photo)), tmp_path / "IMG_1.HEIC", format="HEIF")
+        with pytest.raises(InputError, match=r"IMG_1\.HEIC has 56 x 40 pixels, over the limit of 99"):
+            read_image(path, max_pixels=99)
+        content = path.read_bytes()
+        for length in (40, len(content) // 2, len(content) - 9):
+            path.write_bytes(content[:length])
+            with pytest.raises(InputError, match=r"IMG_1\.HEIC cannot be read"):
+                read_image(path)
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "P", "1", "RGBA", "CMYK", "I;16", "F"])

@@ -9,6 +9,7 @@ import os
 import re
 import struct
 from contextlib import suppress
+from importlib.util import find_spec
 from io import BytesIO
 from typing import IO, NamedTuple
 
@@ -16,6 +17,9 @@ BinaryFile = IO[bytes] | BytesIO  # a BytesIO is an IO[bytes] to static checkers
 
 MAX_SCANS = 30
 """Scans of a JPEG, at most; progressive ones have about ten."""
+
+HEIC_IS_READ = find_spec("pillow_heif") is not None
+"""True where the library that reads HEIC is installed; the package can do without it."""
 
 _MAX_PIECES = 10_000  # segments, chunks, boxes: photos have up to some hundreds, beside the pixels
 _MAX_JPEG = 1 << 28  # bytes of a JPEG that are looked at: the largest pictures are smaller
@@ -269,14 +273,19 @@ def _other_kind(start: bytes) -> str | None:
             return _RAW
         if brands & {b"avif", b"avis"}:
             return None
-        return _HEIC if brands & _HEIC_BRANDS else _FILM
+        if brands & _HEIC_BRANDS:
+            return None if HEIC_IS_READ else _HEIC
+        return _FILM
     bare = start.lstrip().lower()
     return next((what for prefixes, what in _OTHERS.items() if start.startswith(prefixes) or bare.startswith(prefixes)),
                 None)  # fmt: skip
 
 
 _RAW = "it is a camera's raw file. Develop it to JPEG or TIFF, e.g. with darktable"
-_HEIC = "it is HEIC, as phones write it. Save it as JPEG, e.g. heif-convert PHOTO.heic PHOTO.jpg"
+_HEIC = (
+    "it is HEIC, as phones write it. Install what reads it, pip install pillow-heif, or save it as JPEG, e.g. "
+    "heif-convert PHOTO.heic PHOTO.jpg"
+)
 _FILM = "it is a film. Take pictures out of it, e.g. ffmpeg -i FILM frames/%05d.png"
 _DOCUMENT = "it is a document. Save its picture as JPEG or PNG"
 _LIGHT = "it holds a wide range of light. Save it as JPEG or PNG, as it looks on a screen"

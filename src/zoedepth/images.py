@@ -18,14 +18,14 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 from PIL import Image, UnidentifiedImageError
 
-from zoedepth.claims import BinaryFile, check_claims
+from zoedepth.claims import HEIC_IS_READ, BinaryFile, check_claims
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.pictures import n_full_pages, open_picture
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
 DepthArray = Float32[np.ndarray, "_height _width"]
 
-IMAGE_SUFFIXES = frozenset(
+IMAGE_SUFFIXES = frozenset({".heic", ".heif", ".hif"} if HEIC_IS_READ else ()) | frozenset(
     {".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".tif", ".tiff", ".webp", ".avif", ".bmp", ".dib"}
     | {".gif", ".ppm", ".pgm", ".pbm", ".pnm", ".jp2", ".j2k", ".tga"}
 )
@@ -45,14 +45,14 @@ PNG_SCALE_KITTI = 256.0
 PNG_MAX = 65535
 
 # Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
-_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "TGA")
+_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "HEIF", "TGA")
 # A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots of 8K and pages at 600 dpi
 # pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
 _FREE_BYTES, _MAX_RATIO = 105_000_000, 256
 _RATIOS = {"TGA": 16}  # nobody stores photos so; renders with large flat parts unpack to a few times their size
 # Bytes of a pixel that count, where they are not 3. Reading most formats takes 7 (4 in Pillow, 3 in the image); these
-# decoders keep more copies, 16, 9 and 19 bytes as measured, and count in proportion.
-_BYTES = {"WEBP": 7, "AVIF": 4, "JPEG2000": 8}
+# decoders keep more copies, 16, 9, 19 and 8 bytes as measured, and count in proportion.
+_BYTES = {"WEBP": 7, "AVIF": 4, "JPEG2000": 8, "HEIF": 4}
 _ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
 _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 _MAX_STREAM = 1 << 29  # bytes
@@ -327,7 +327,8 @@ def _from_upright(picture: Image.Image, name: str, *, photo: bool = True) -> Ima
 
 def load_upright(picture: Image.Image) -> tuple[Image.Image, int]:
     """Decode a picture, and turn it upright by its EXIF orientation; returns that, too: 1 where nothing is turned."""
-    by_pillow = getattr(picture, "tag_v2", {}).get(_ORIENTATION_TAG)  # it turns a TIFF when it decodes it
+    # A TIFF is turned when it is decoded, and a HEIC, too.
+    by_pillow = getattr(picture, "tag_v2", {}).get(_ORIENTATION_TAG, picture.info.get("original_orientation"))
     picture.load()
     try:
         orientation = picture.getexif().get(_ORIENTATION_TAG)

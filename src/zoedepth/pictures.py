@@ -8,7 +8,7 @@ from io import BytesIO
 from PIL import Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 
-from zoedepth.claims import BinaryFile
+from zoedepth.claims import HEIC_IS_READ, BinaryFile
 
 # TIFF's tag of the kind of a page, NewSubfileType, with the bits of previews and masks; and its predecessor's value.
 _KIND_TAG, _PREVIEW_OR_MASK, _OLD_KIND_TAG, _OLD_PREVIEW = 254, 0b101, 255, 2
@@ -20,7 +20,8 @@ def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
     """Open the picture of a file as ``PIL.Image.open`` does. Nothing is decoded yet.
 
     Of a TIFF it is the first page that is no preview and no mask. The first is the full one in all other formats: JPEGs
-    with a second view, a depth map or a gain map behind it (MPO, Ultra HDR), animations.
+    with a second view, a depth map or a gain map behind it (MPO, Ultra HDR), animations. HEIC says which is the main
+    one.
 
     Pillow warns of pictures of more than 90 megapixels, and refuses texts and profiles of a PNG of more than 1 MB. Both
     would hit sound files, so neither is so here: the caller looks at the size, and large texts are passed over.
@@ -38,6 +39,10 @@ def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
     if start.startswith(b"\x89PNG"):
         file = _without_large_notes(file)
     for name in formats:
+        if name == "HEIF":
+            if start[4:8] == b"ftyp" and HEIC_IS_READ:
+                return _open_heic(file)
+            continue
         if name not in Image.OPEN:  # this Pillow was built without it
             continue
         reader, accepts = Image.OPEN[name]
@@ -55,6 +60,17 @@ def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
             _seek_full_page(picture)
         return picture
     raise UnidentifiedImageError("it is no picture in a known format")
+
+
+def _open_heic(file: BinaryFile) -> Image.Image:
+    """Open the main picture of a HEIC; it is turned upright as it is decoded."""
+    from pillow_heif import HeifImageFile
+
+    file.seek(0)
+    try:
+        return HeifImageFile(file, "")
+    except SyntaxError as error:
+        raise ValueError(f"no readable HEIC: {error}") from error
 
 
 def n_full_pages(picture: Image.Image, *, most: int = 2) -> int:

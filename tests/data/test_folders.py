@@ -174,7 +174,7 @@ def test_names_that_only_begin_alike_do_not_go_together(tmp_path: Path) -> None:
     assert [dataset[i].target[0, 0, 0].item() for i in range(3)] == [1, 3, 5]
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".heic", ".mat"])
+@pytest.mark.parametrize("suffix", [".jpg", ".cr2", ".mat"])
 @pytest.mark.parametrize("allow_missing", [False, True])
 def test_depth_of_a_format_that_is_not_read_is_named(tmp_path: Path, suffix: str, allow_missing: bool) -> None:
     pair(tmp_path, "images", "depth", "0")
@@ -187,12 +187,12 @@ def test_depth_of_a_format_that_is_not_read_is_named(tmp_path: Path, suffix: str
 def test_photo_of_a_format_that_is_not_read_is_named(tmp_path: Path) -> None:
     pair(tmp_path, "images", "depth", "0")
     pair(tmp_path, "images", "depth", "1")
-    (tmp_path / "images" / "1.jpg").rename(tmp_path / "images" / "1.HEIC")
+    (tmp_path / "images" / "1.jpg").rename(tmp_path / "images" / "1.CR2")
     say(tmp_path)
-    with pytest.raises(InputError, match=r"images/1\.HEIC, the photo of .*depth/1\.png, is of a format"):
+    with pytest.raises(InputError, match=r"images/1\.CR2, the photo of .*depth/1\.png, is of a format"):
         PairDataset(tmp_path)
     (tmp_path / "images" / "0.jpg").unlink()
-    with pytest.raises(InputError, match=r"no photos in .*images, but 1\.HEIC.*\.jpg"):
+    with pytest.raises(InputError, match=r"no photos in .*images, but 1\.CR2.*\.jpg"):
         PairDataset(tmp_path)
 
 
