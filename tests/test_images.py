@@ -385,7 +385,7 @@ class TestHeic:
         exif = Image.Exif()
         exif[0x0112] = 6
         options = {"quality": -1, "chroma": 444, "matrix_coefficients": 0}  # without loss
-        path = saved(turned, tmp_path / "IMG_1.HEIC", format="HEIF", exif=exif, **options)
+        path = saved(turned, tmp_path / "IMG_1.HEIC", format="HEIF", exif=exif.tobytes(), **options)
         image, orientation = read_image_with_orientation(path)
         np.testing.assert_allclose(image.astype(int), shown, atol=3)
         assert orientation == 6
