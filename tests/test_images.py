@@ -15,7 +15,7 @@ from PIL import Image, PngImagePlugin, features
 
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.images import (
-    _FORMATS,
+    FORMATS,
     IMAGE_SUFFIXES,
     PNG_MAX,
     as_array,
@@ -151,7 +151,7 @@ class TestReadImage:
         path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n")
         with pytest.raises(InputError, match=r"drawing\.jpg is no ordinary photo: it is a document"):
             read_image(path)
-        assert "EPS" not in _FORMATS
+        assert "EPS" not in FORMATS
 
     def test_streams_and_files_at_their_end(self, photo: np.ndarray, tmp_path: Path) -> None:
         file = io.BytesIO()

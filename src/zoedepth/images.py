@@ -40,12 +40,13 @@ MAX_PIXELS = 178_956_970
 OWN_MARK = "made by zoedepth"
 """EXIF's "Software" in the pictures that ``write_image`` writes, by which they are known not to be photographs."""
 
+FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "HEIF", "TGA")
+"""Formats of photos, as Pillow names them: one by one, for Pillow runs Ghostscript to read EPS, a program."""
+
 PNG_SCALE_MILLIMETRE = 1000.0
 PNG_SCALE_KITTI = 256.0
 PNG_MAX = 65535
 
-# Named one by one, so that a file can never start a program: Pillow runs Ghostscript to read EPS.
-_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "AVIF", "BMP", "DIB", "GIF", "PPM", "JPEG2000", "HEIF", "TGA")
 # A file may unpack to _FREE_BYTES, and beyond that to _MAX_RATIO times its size. Screenshots of 8K and pages at 600 dpi
 # pass however well they compress; photographs unpack to 2 to 20 times their size, a black one to 200 times.
 _FREE_BYTES, _MAX_RATIO = 105_000_000, 256
@@ -189,7 +190,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> t
         with open(source, "rb") if isinstance(source, str | Path) else nullcontext(source) as file:
             file = _seekable(file)
             _check_claims(file, name)
-            picture = open_picture(file, _FORMATS)
+            picture = open_picture(file, FORMATS)
             _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
             _warn_of_more(picture, name)

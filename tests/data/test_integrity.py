@@ -1,11 +1,13 @@
 """Files that are cut short, missing or of other sizes are found without reading all of them."""
 
+import warnings
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests import bombs
 from tests.folders import write_csv, write_pairs
 
 from zoedepth.data import integrity
@@ -48,6 +50,15 @@ def test_a_photo_of_another_size_is_named_and_a_photo_with_bytes_behind_it_is_no
     with pairs.pairs[0].image.open("ab") as file:  # phones append films
         file.write(b"a film" * 100)
     assert sorted(find_broken(pairs)) == [2]
+
+
+def test_large_photos_are_looked_at_without_a_warning(pairs: PairDataset) -> None:
+    assert pairs.pairs[0].target is not None
+    for path in (pairs.pairs[0].image, pairs.pairs[0].target):
+        path.write_bytes(bombs.png(12_000, 9_000))  # which would be refused if it were read
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert find_broken(pairs) == {}
 
 
 def test_a_picture_in_place_of_depth_is_named(pairs: PairDataset) -> None:

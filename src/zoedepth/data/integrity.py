@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from zoedepth.data.fit import check_fit
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.errors import InputError
+from zoedepth.images import FORMATS
+from zoedepth.pictures import open_picture
 
 MOST_BROKEN = 0.1
 """Share of the samples of a data set that may be broken before it is not used."""
@@ -83,7 +84,7 @@ def _suspicious(pair: Any, *, paired: bool) -> bool:
         if not all(_ends_well(path) for path in pair.files):
             return True
         if paired and (found := _size(pair.target, depth=pair.kind == "depth")) is not None:
-            with Image.open(pair.image) as photo:
+            with pair.image.open("rb") as file, open_picture(file, FORMATS) as photo:
                 turned = "exif" in photo.info and photo.getexif().get(_ORIENTATION, 1) != 1
                 check_fit((photo.height, photo.width), found, names=(pair.image, pair.target))
             return turned
@@ -121,7 +122,7 @@ def _size(path: Path, *, depth: bool) -> tuple[int, int] | None:
         return (int(sides[0]), int(sides[1])) if len(sides) == 2 else None
     if suffix in (".npz", ".exr", ".pfm"):
         return None
-    with Image.open(path) as picture:
+    with path.open("rb") as file, open_picture(file, FORMATS) as picture:
         if depth and not picture.mode.startswith(("I", "F")):
             raise ValueError(f"its mode is {picture.mode}")
         return picture.height, picture.width
