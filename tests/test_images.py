@@ -216,6 +216,15 @@ class TestWarnings:
         with pytest.warns(InputWarning, match=f"the array is {message}"):
             to_image(values)
 
+    def test_12_bits_in_16_in_colour(self, tmp_path: Path) -> None:
+        levels = np.random.default_rng(0).integers(0, 4096, (20, 30, 3)).astype(">u2")
+        rows = b"".join(b"\0" + row.tobytes() for row in levels)
+        header = chunk(b"IHDR", struct.pack(">IIBBBBB", 30, 20, 16, 2, 0, 0, 0))
+        body = chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b"")
+        (tmp_path / "thermal.png").write_bytes(b"\x89PNG\r\n\x1a\n" + header + body)
+        with pytest.warns(InputWarning, match=r"thermal\.png is nearly black: its largest value is 15 of 255"):
+            read_image(tmp_path / "thermal.png")
+
     def test_one_lamp_at_night_is_something_to_see(self) -> None:
         night = np.zeros((1000, 1500, 3), np.uint8)
         night[501, 777] = 255  # beside the pixels of the first look

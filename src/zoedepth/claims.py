@@ -263,10 +263,18 @@ def _check_coding(segment: bytes, grid: bytes, *, of_component: bool) -> None:
         )
 
 
-def _other_kind(start: bytes) -> str | None:
-    """Return what a file is that is no photo, by its first bytes, and what to do about it; None for photos."""
+def stand_in(start: bytes) -> str | None:
+    """Return what stands in place of a file, by its first bytes, and what to do about it; None where nothing does."""
     if not start:
         return "it is empty. Copy it again"
+    bare = start.lstrip().lower()
+    return next((what for prefixes, what in _STAND_INS.items() if bare.startswith(prefixes)), None)
+
+
+def _other_kind(start: bytes) -> str | None:
+    """Return what a file is that is no photo, by its first bytes, and what to do about it; None for photos."""
+    if other := stand_in(start):
+        return other
     if start[4:8] == b"ftyp":
         brands = {start[place : place + 4] for place in range(8, min(len(start), int.from_bytes(start[:4], "big")), 4)}
         if start[8:12] == b"crx ":
@@ -291,6 +299,10 @@ _DOCUMENT = "it is a document. Save its picture as JPEG or PNG"
 _LIGHT = "it holds a wide range of light. Save it as JPEG or PNG, as it looks on a screen"
 _HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
 
+_STAND_INS = {
+    (b"version https://git-lfs",): "it only stands for a file that Git LFS keeps. Fetch that: git lfs pull",
+    (b"<!doctype html", b"<html"): "it is a web page, which a site sent in place of the file. Download it again",
+}
 _OTHERS = {
     (b"FUJIFILMCCD-RAW", b"IIRO", b"IIRS", b"MMOR", b"IIU\0", b"FOVb", b"\0MRM", b"II\x1a\0\0\0HEAPCCDR"): _RAW,
     (b"\x1aE\xdf\xa3", b"FLV", b"OggS", b"\0\0\1\xba"): _FILM,
@@ -298,8 +310,6 @@ _OTHERS = {
     (b"\x76\x2f\x31\x01", b"#?RADIANCE", b"#?RGBE", b"PF\n", b"Pf\n"): _LIGHT,
     (b"\0\0\0\x0cJXL ", b"\xff\x0a"): "it is JPEG XL. Save it as JPEG or PNG",
     (b"\0\0\1\0", b"icns"): "it is an icon, of several sizes. Save one of them as PNG",
-    (b"version https://git-lfs",): "it only stands for a file that Git LFS keeps. Fetch that: git lfs pull",
-    (b"<!doctype html", b"<html"): "it is a web page, which a site sent in place of the picture. Download it again",
     (b"PK\3\4", b"Rar!", b"7z\xbc\xaf", b"\x1f\x8b"): "it is an archive. Unpack it first",
 }
 """How files that are often taken for photos begin → what they are, and what to do."""

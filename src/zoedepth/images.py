@@ -58,7 +58,7 @@ _ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
 _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 _MAX_STREAM = 1 << 29  # bytes
 _DIM_16_BITS = 1 << 14  # with a largest value below, 16 bits hold 14 or fewer
-_DARK, _PLAIN = 6, 4  # of 255: a largest value below, and a spread below
+_DARK, _PLAIN = 16, 4  # of 255: a largest value below, and a spread below
 _BAND = 1 << 18  # pixels that are converted at once
 # TIFF's tags of the size of a tile, and the pixels of a tile that are always allowed.
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
@@ -390,7 +390,10 @@ def _warn_if_nothing_shows(image: UInt8[np.ndarray, "height width channels"], na
     """Say so where a picture is nearly black or of one colour: a look at 64 x 64 pixels clears most others."""
     some = image[:: 1 + image.shape[0] // 64, :: 1 + image.shape[1] // 64]
     if some.max() < _DARK and image.max() < _DARK:
-        _warn(f"{name} is nearly black: its largest value is {image.max()} of 255. Nothing can be seen in it")
+        _warn(
+            f"{name} is nearly black: its largest value is {image.max()} of 255. Brighten it; where a camera of fewer "
+            "bits wrote it, stretch its values to the whole range"
+        )
     elif np.ptp(some, axis=(0, 1)).max() < _PLAIN and np.ptp(image, axis=(0, 1)).max() < _PLAIN:
         _warn(f"{name} is nearly of one colour. Nothing can be seen in it, and its depth says nothing")
 

@@ -80,7 +80,7 @@ def test_pgm_of_8_bits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"", "begins with P5"),
+        (b"", "it is empty"),
         (b"P2\n1 1\n255\n7", "begins with P5"),
         (b"P6\n1 1\n255\n123", "begins with P5"),
         (b"P5\n2 2\n65535\n1234567", "cut short"),

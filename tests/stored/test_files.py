@@ -1,12 +1,14 @@
 """Bounds on what a file hands out, and on the maps it may hold."""
 
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from zoedepth.errors import InputError
 from zoedepth.images import MAX_PIXELS
-from zoedepth.stored import BoundedFile, Memory
+from zoedepth.stored import BoundedFile, Memory, read_depth
 from zoedepth.stored.files import check_map
 
 
@@ -44,3 +46,21 @@ def test_what_is_no_map_is_refused(shape: tuple[int, ...], dtype: str, word: str
 def test_the_largest_maps_pass() -> None:
     check_map((MAX_PIXELS, 1), np.dtype("f4"))
     check_map((MAX_PIXELS // 2, 1), np.dtype("f8"))
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz", ".pfm", ".pgm", ".png", ".tif", ".exr"])
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n", "Git LFS keeps.*git lfs pull"),
+        (b"\n<!DOCTYPE html>\n<html>Sign in", "it is a web page"),
+        (b"", "it is empty"),
+    ],
+    ids=["Git LFS", "web page", "empty"],
+)
+def test_what_stands_in_place_of_a_map_is_named(tmp_path: Path, suffix: str, content: bytes, message: str) -> None:
+    if suffix == ".exr":
+        pytest.importorskip("OpenEXR")
+    (tmp_path / f"depth{suffix}").write_bytes(content)
+    with pytest.raises(InputError, match=rf"depth\{suffix} is not a readable .*\(.*{message}"):
+        read_depth(tmp_path / f"depth{suffix}", scale=1000)

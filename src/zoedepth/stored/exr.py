@@ -8,7 +8,7 @@ from jaxtyping import Float32
 
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import MAX_PIXELS, check_expansion
-from zoedepth.stored.files import Map, check_exists, check_map
+from zoedepth.stored.files import Map, cause, check_exists, check_map
 
 # How channels of depth are called, without regard to case; V is Blender's name for one value. Beside them in one layer:
 # channels that make a vector of Z, a texture's place or a colour of V. Parts of names of layers that are not depth.
@@ -42,7 +42,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
             _check_window(header)
         check_map(values.shape, values.dtype)
     except Exception as error:  # the library raises RuntimeError and others for damage of any kind
-        raise InputError(f"{path} is not a readable OpenEXR file of depth ({error})") from error
+        raise InputError(f"{path} is not a readable OpenEXR file of depth ({cause(path, error)})") from error
     return values.astype(np.float32, copy=False)
 
 

@@ -1,6 +1,7 @@
 """Files in memory, and bounds on what a file may unpack to, for all readers of stored maps."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from io import BytesIO
 from math import prod
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import IO
 import numpy as np
 from jaxtyping import Shaped
 
+from zoedepth.claims import stand_in
 from zoedepth.errors import InputError
 from zoedepth.images import MAX_PIXELS
 
@@ -72,10 +74,18 @@ def check_map(shape: tuple[int, ...], dtype: np.dtype) -> None:
         )
 
 
+def cause(file: Path | Memory, error: Exception) -> object:
+    """Return why a file cannot be read: because something else stands in its place, or as a library says."""
+    if isinstance(file, Path):
+        with suppress(OSError), file.open("rb") as opened:
+            return stand_in(opened.read(64)) or error
+    return error
+
+
 def read_binary(file: Path | Memory, parse: Callable[[IO[bytes]], np.ndarray], what: str) -> np.ndarray:
     check_exists(file)
     try:
         with file if isinstance(file, Memory) else file.open("rb") as opened:
             return parse(opened)
     except Exception as error:  # a damaged archive or header can raise nearly anything
-        raise InputError(f"{file} is not {what} ({error})") from error
+        raise InputError(f"{file} is not {what} ({cause(file, error)})") from error

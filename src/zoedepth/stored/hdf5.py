@@ -10,7 +10,7 @@ import numpy as np
 
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import check_expansion
-from zoedepth.stored.files import Map, check_exists, check_map
+from zoedepth.stored.files import Map, cause, check_exists, check_map
 
 _MOST_NAMED = 12
 _MAX_CHUNKS = 1 << 15  # 180 megapixels in chunks of 74 x 74
@@ -47,7 +47,7 @@ def read_hdf5(path: Path, key: str) -> Map:
             _check_chunks(found)
             return np.asarray(found)
     except Exception as error:  # h5py raises OSError, KeyError, RuntimeError and others on a damaged file
-        raise InputError(f"{path} is not an HDF5 file with a map {key!r} ({error})") from error
+        raise InputError(f"{path} is not an HDF5 file with a map {key!r} ({cause(path, error)})") from error
 
 
 def _check_chunks(dataset: Any) -> None:
