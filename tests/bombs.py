@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 GIGABYTES = 4096
@@ -94,3 +95,16 @@ def hdf5(path: Path, write: Callable) -> None:
 def photo(path: Path, size: tuple[int, int]) -> None:
     """Write a grey photo of (height, width)."""
     Image.new("RGB", (size[1], size[0]), (128, 128, 128)).save(path)
+
+
+def tiff_pages(*pages: tuple[Image.Image, dict[int, int]]) -> io.BytesIO:
+    """Return a TIFF of several pages, each a picture and its tags: NewSubfileType (254), SubfileType (255)."""
+    tifffile = pytest.importorskip("tifffile")
+    file = io.BytesIO()
+    with tifffile.TiffWriter(file) as writer:
+        for picture, tags in pages:
+            values = np.asarray(picture)
+            older = [(255, "H", 1, tags[255], True)] if 255 in tags else []
+            colours = "rgb" if values.ndim == 3 else "mask" if tags.get(254) == 4 else "minisblack"
+            writer.write(values, photometric=colours, subfiletype=tags.get(254, 0), extratags=older, metadata=None)
+    return file

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image, PngImagePlugin, features
+from tests import bombs
 
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.images import (
@@ -249,9 +250,10 @@ class TestWarnings:
         np.testing.assert_allclose(image.astype(int), large(photo), atol=atol)
 
     def test_preview_in_a_tiff_is_no_second_page(self, photo: np.ndarray, tmp_path: Path) -> None:
-        preview = Image.new("RGB", (3, 2))
-        preview.encoderinfo = {"tiffinfo": {254: 1}}
-        path = saved(Image.fromarray(photo), tmp_path / "photo.tif", save_all=True, append_images=[preview])
+        path = tmp_path / "photo.tif"
+        path.write_bytes(
+            bombs.tiff_pages((Image.fromarray(photo), {}), (Image.new("RGB", (3, 2)), {254: 1})).getvalue()
+        )
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             np.testing.assert_array_equal(read_image(path), photo)
@@ -266,6 +268,8 @@ class TestWarnings:
         elif suffix == ".tif":
             options = {"tiffinfo": {700: notes.encode()}}
         path = saved(Image.fromarray(large(photo)), tmp_path / f"sphere{suffix}", **options)
+        if "xmp" not in Image.open(path).info:
+            pytest.skip("this Pillow does not hand out such notes")
         with pytest.warns(InputWarning, match=rf"sphere\{suffix} is a panorama"):
             read_image(path)
 

@@ -23,23 +23,15 @@ def stored(picture: Image.Image, kind: str, **options: object) -> io.BytesIO:
     return file
 
 
-def pages(*pictures: tuple[Image.Image, dict[int, int]]) -> io.BytesIO:
-    """A TIFF of pages, each with tags of its own."""
-    copies = []
-    for picture, tags in pictures:
-        copies.append(picture.copy())
-        copies[-1].encoderinfo = {"tiffinfo": tags}
-    return stored(copies[0], "TIFF", save_all=True, append_images=copies[1:], tiffinfo=pictures[0][1])
-
-
 @pytest.mark.parametrize(
     "file",
     [
-        pages((PREVIEW, {254: 1}), (PHOTO, {254: 0})),
-        pages((PREVIEW, {254: 1}), (MASK, {254: 4}), (PREVIEW, {255: 2}), (PHOTO, {})),
-        pages((PHOTO, {}), (PREVIEW, {254: 1})),
+        bombs.tiff_pages((PREVIEW, {254: 1}), (PHOTO, {254: 0})),
+        bombs.tiff_pages((PREVIEW, {254: 1}), (MASK, {254: 4}), (PREVIEW, {255: 2}), (PHOTO, {})),
+        bombs.tiff_pages((PHOTO, {}), (PREVIEW, {254: 1})),
+        bombs.tiff_pages((PHOTO, {}), (MASK, {254: 4})),
     ],
-    ids=["preview first", "previews and a mask first", "preview last"],
+    ids=["preview first", "previews and a mask first", "preview last", "mask last"],
 )
 def test_full_page_of_a_tiff(file: io.BytesIO) -> None:
     picture = open_picture(file, ["TIFF"])
@@ -48,13 +40,13 @@ def test_full_page_of_a_tiff(file: io.BytesIO) -> None:
 
 
 def test_several_full_pages_are_counted_and_the_first_stays_open() -> None:
-    picture = open_picture(pages((PHOTO, {}), (PREVIEW, {254: 1}), (PREVIEW, {}), (PREVIEW, {})), ["TIFF"])
+    picture = open_picture(bombs.tiff_pages((PHOTO, {}), (PREVIEW, {254: 1}), (PREVIEW, {}), (PREVIEW, {})), ["TIFF"])
     assert (n_full_pages(picture), n_full_pages(picture, most=9)) == (2, 3)
     np.testing.assert_array_equal(np.asarray(picture), np.asarray(PHOTO))
 
 
 def test_pages_that_are_all_said_to_be_previews() -> None:
-    picture = open_picture(pages((PHOTO, {254: 1}), (PREVIEW, {254: 1})), ["TIFF"])
+    picture = open_picture(bombs.tiff_pages((PHOTO, {254: 1}), (PREVIEW, {254: 1})), ["TIFF"])
     np.testing.assert_array_equal(np.asarray(picture), np.asarray(PHOTO))
 
 

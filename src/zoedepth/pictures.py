@@ -4,6 +4,7 @@ import struct
 import zlib
 from collections.abc import Iterable
 from io import BytesIO
+from itertools import count
 
 from PIL import Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
@@ -78,22 +79,32 @@ def n_full_pages(picture: Image.Image, *, most: int = 2) -> int:
     if picture.format != "TIFF" or not getattr(picture, "is_animated", False):
         return 1
     here, found = picture.tell(), 1
-    try:
-        while found < most:
-            picture.seek(picture.tell() + 1)
-            found += not _is_preview(picture)
-    except EOFError:
-        pass
+    for page in count(here + 1):
+        if found >= most or not _go_to(picture, page):
+            break
+        found += not _is_preview(picture)
     picture.seek(here)
     return found
 
 
 def _seek_full_page(picture: Image.Image) -> None:
+    for page in count(1):
+        if not _is_preview(picture):
+            break
+        if not _go_to(picture, page):
+            picture.seek(0)  # they are all said to be previews, so the first is as good as any
+            break
+
+
+def _go_to(picture: Image.Image, page: int) -> bool:
+    """Go to a page, also to one that cannot be read itself, as some masks; returns False behind the last."""
     try:
-        while _is_preview(picture):
-            picture.seek(picture.tell() + 1)
-    except EOFError:  # they are all said to be previews, so the first is as good as any
-        picture.seek(0)
+        picture.seek(page)
+    except EOFError:
+        return False
+    except SyntaxError:
+        pass
+    return True
 
 
 def _is_preview(picture: Image.Image) -> bool:

@@ -174,8 +174,7 @@ def test_large_notes_of_a_png_do_not_hide_its_depth(tmp_path: Path) -> None:
 def test_page_of_depth_is_the_only_full_one(tmp_path: Path) -> None:
     depth, preview, other = (Image.fromarray(np.full((4, 6), value, np.uint16)) for value in (500, 7, 9))
     path = tmp_path / "depth.tif"
-    preview.encoderinfo = {"tiffinfo": {254: 1}}
-    depth.save(path, save_all=True, append_images=[preview])
+    path.write_bytes(bombs.tiff_pages((preview, {254: 1}), (depth, {}), (preview, {254: 1})).getvalue())
     assert (read_depth(path, scale=1000) == 0.5).all()
     other.save(path, save_all=True, append_images=[depth])
     with pytest.raises(InputError, match=r"depth\.tif.*several pages: save the one of depth alone"):
