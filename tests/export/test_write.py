@@ -144,7 +144,7 @@ def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(tiny_config: Mod
     coarse = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
     Image.fromarray(coarse).resize((96, 64)).save(tmp_path / "photo.png")
     path = tmp_path / "model.xml"
-    export_model(beit(tiny_config, 2), path, to="openvino", int8=True, photos=[tmp_path / "photo.png"])
+    export_model(beit(tiny_config, 2, "mlp"), path, to="openvino", int8=True, photos=[tmp_path / "photo.png"])
     core: Any = openvino.Core()
     found = {True: [], False: []}
     for node in core.read_model(path).get_ops():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from zoedepth.cli import main
 
-STEPS = 6
+STEPS = 4
 COMMON = [
     "--config.steps", str(STEPS), "--config.batch-size", "8", "--config.model.size", "64", "64", "--config.precision",
     "32-true", "--config.n-workers", "0", "--config.log-every", "1", "--config.pictures", "0",
