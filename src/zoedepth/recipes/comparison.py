@@ -1,7 +1,7 @@
 """Every head and every baseline on equal terms: one small encoder, NYU's 795 labelled training pairs, 100 steps.
 
-``python -m benchmarks.heads --nyu nyu --out runs/heads`` trains and scores them all; docs/results.md has the table, and
-the time that each training took. By hand: ``zoedepth train comparison --head newcrfs --data nyu=nyu --out runs/newcrfs
+``python -m benchmarks.heads --nyu nyu --out runs/heads`` trains and scores them all; docs/results.md has the table.
+By hand: ``zoedepth train comparison --head newcrfs --data nyu=nyu --out runs/newcrfs
 --init imagenet``, ``zoedepth train comparison_bts --data nyu=nyu --out runs/bts --init imagenet``.
 """
 
