@@ -1,12 +1,14 @@
 """What all tests share: a model small enough to run in milliseconds, and how fuzz tests choose their examples."""
 
 import gc
+import signal
 from collections.abc import Iterator
 
 import jaxtyping
 import pytest
 import torch
 from hypothesis import settings
+from torch.utils.data._utils import signal_handling
 
 from zoedepth.config import (
     INDOOR,
@@ -34,6 +36,19 @@ def pytest_collection_finish() -> None:
     """Take what was imported and collected out of the garbage collector's sight: none of it is ever freed."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True)
+def no_handler_is_left() -> Iterator[None]:
+    """Take away the handler of ended children that a DataLoader's processes leave behind.
+
+    Once a library has used a processor's matrix tiles (AMX), the small stack of handlers cannot hold them, and the next
+    child that ends would end the tests.
+    """
+    yield
+    if signal_handling._SIGCHLD_handler_set:
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        signal_handling._SIGCHLD_handler_set = False
 
 
 @pytest.fixture(scope="session")
