@@ -96,7 +96,8 @@ def test_nothing_is_loaded_for_an_export_that_cannot_be(
     assert "is not an export of zoedepth" in refused(capsys, *command, "onnx", "--out", "folder.onnx")
     assert "model.bin is there already" in refused(capsys, *command, "openvino", "--out", "model.xml")
     # A folder that cannot be.
-    assert "--out: cannot write to mine.onnx/deep" in refused(capsys, *command, "onnx", "--out", "mine.onnx/deep/m.onnx")
+    below = refused(capsys, *command, "onnx", "--out", "mine.onnx/deep/m.onnx")
+    assert "--out: cannot write to mine.onnx/deep" in below
     # Libraries that are not installed.
     known = importlib.util.find_spec
     monkeypatch.setattr(zoedepth.export.write, "find_spec", lambda name: None if name == "nncf" else known(name))
