@@ -6,7 +6,6 @@ from pathlib import Path, PurePath
 
 import pytest
 
-from zoedepth import folders
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable, list_files, service_folder
 
@@ -109,8 +108,9 @@ class TestCheckWritable:
     def test_a_full_disk_is_noticed_when_bytes_are_written(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        if not os.path.exists("/dev/full"):
-            pytest.skip("the system has no /dev/full")
-        monkeypatch.setattr(folders, "TemporaryFile", lambda **_: Path("/dev/full").open("wb"))  # noqa: SIM115
+        def full(_: int) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(os, "fsync", full)
         with pytest.raises(InputError, match=os.strerror(errno.ENOSPC)):
             check_writable(tmp_path)

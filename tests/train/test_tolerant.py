@@ -56,7 +56,7 @@ def test_each_broken_sample_is_told_once_by_its_file(broken: Subset) -> None:
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes_that_read_tell_the_one_that_trains(broken: Subset, method: str) -> None:
     if method not in multiprocessing.get_all_start_methods():
-        pytest.skip(f"this system cannot {method}")
+        pytest.skip(f"this system cannot {method}")  # Windows has no fork: training spawns there
     samples = Tolerant(broken, name="rooms")
     loader = DataLoader(samples, num_workers=1, batch_size=None, sampler=[3, 4], multiprocessing_context=method)
     assert len(list(loader)) == 2

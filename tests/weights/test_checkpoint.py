@@ -251,6 +251,7 @@ def test_names_in_a_file_cannot_write_to_the_terminal(tmp_path: Path):
     assert len(str(caught.value)) < 1000
 
 
+# Such a file cannot be made with a torch before 2.8, nor read.
 @pytest.mark.skipif(not hasattr(torch, "float4_e2m1fn_x2"), reason="this torch has no such type")
 def test_weights_that_torch_cannot_convert_are_refused(tmp_path: Path):
     name = "encoder.network.cls_token"

@@ -1,7 +1,6 @@
 """Do a photo and a map about it lie alike and fit each other? A smaller map becomes points of the photo."""
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import numpy as np
 
@@ -13,8 +12,6 @@ _ALIKE = 0.01
 """Relative difference up to which proportions are the same: a camera's depth has pixels of some photo pixels' size."""
 _MUCH = 1.5
 """Factor from which on a map is smaller because its camera is, and not because it was cropped."""
-
-Values = TypeVar("Values", bound=np.ndarray)
 
 
 def says_how_it_lies(size: Size, orientation: int) -> bool:
@@ -69,7 +66,7 @@ def check_fit(size: Size, found: Size, *, names: tuple[object, object], orientat
     )
 
 
-def spread(values: Values, size: Size) -> Values:
+def spread(values: np.ndarray, size: Size) -> np.ndarray:
     """Put the values of a smaller map where they are in the photo; between them are zeros.
 
     Nothing is mixed or made up: depth between two values may be that of neither. The map shows what the photo shows, so
@@ -86,4 +83,4 @@ def spread(values: Values, size: Size) -> Values:
     )
     points = np.zeros(tuple(size), values.dtype)
     points[np.ix_(rows, columns)] = values
-    return points  # type: ignore[return-value]
+    return points

@@ -53,8 +53,8 @@ def check_predictions(source: FolderSource, sample: Sample, protocol: Protocol) 
     values, truth, file = values[known], truth[known], prediction.file
     if source.kind is None and _rank_correlation(values, truth) < _OPPOSITE:
         raise InputError(
-            f"{file} is large where {sample.name} is near: it is inverse depth. Add --predictions-kind disparity, or "
-            "depth if it is none"
+            f"{file} is large where {sample.name} is near: it is inverse depth. Add --predictions-kind disparity. If "
+            "it is depth after all, add --predictions-kind depth"
         )
     if source.kind == "disparity" or protocol.alignment != "none":
         return None

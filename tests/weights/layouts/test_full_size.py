@@ -49,6 +49,7 @@ def _heads(about: dict) -> tuple[str, ...]:
     return tuple(entry["name"] for entry in about["bin_configurations"])
 
 
+# The bits are compared by the small twins of test_original.py and test_huggingface.py on every system.
 @pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from Linux's /proc")
 def test_released_checkpoint_loads_predicts_and_keeps_its_bits_in_another_layout(tmp_path: Path):
     """Loading has a process of its own, so that its memory can be told."""
