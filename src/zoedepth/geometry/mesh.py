@@ -1,0 +1,129 @@
+"""A mesh of what a camera sees: triangles between neighbouring pixels of one surface."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.jumps import flying_pixels, jumps
+from zoedepth.geometry.normals import estimate_normals
+from zoedepth.geometry.points import check_size, known_depth, unproject
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in space, and the place of their corners in the photo."""
+
+    vertices: Float32[np.ndarray, "vertices 3"]
+    """Metres, in OpenCV's axes: x to the right, y down, z forward."""
+    faces: Int32[np.ndarray, "faces 3"]
+    """Rows in ``vertices``, counterclockwise for whoever looks from the camera."""
+    uv: Float32[np.ndarray, "vertices 2"]
+    """Place in the photo: from (0, 0), the top left corner, to (1, 1), the bottom right one, as glTF has it."""
+    normals: Float32[np.ndarray, "vertices 3"]
+    """Unit vectors towards the side from which the camera sees the surface."""
+    camera: Camera
+    """The camera that sees it so."""
+
+
+def build_mesh(
+    depth: Float[np.ndarray, "height width"],
+    camera: Camera,
+    *,
+    valid: Bool[np.ndarray, "height width"] | None = None,
+    max_triangles: int | None = None,
+) -> Mesh:
+    """Join neighbouring pixels to triangles, but not across jumps of depth.
+
+    Args:
+        depth: metres along the optical axis; a pixel without a finite number above 0 is left out.
+        camera: the camera at the size of the depth map.
+        valid: pixels to take; None takes all that are no flying pixels.
+        max_triangles: fewer triangles than one or two for each pixel: see ``simplify``. None keeps all.
+
+    Raises:
+        InputError: the camera or ``valid`` is of another size, or ``max_triangles`` is below 1.
+        MissingExtraError: ``max_triangles`` is given, and fast-simplification is not installed.
+    """
+    check_size(depth, camera)
+    if valid is None:
+        valid = ~flying_pixels(depth, camera)
+    if valid.shape != depth.shape:
+        raise InputError(f"valid has shape {valid.shape} and the depth {depth.shape}: give them the same size")
+    taken = valid & known_depth(depth)
+    faces = _faces(depth, taken, camera)
+    used = np.zeros(depth.size, bool)
+    used[faces] = True
+    places = np.flatnonzero(used)
+    number = np.zeros(depth.size, np.int32)
+    number[places] = np.arange(len(places), dtype=np.int32)
+    height, width = depth.shape
+    uv = np.stack([(places % width + 0.5) / width, (places // width + 0.5) / height], axis=1).astype(np.float32)
+    mesh = Mesh(
+        vertices=unproject(depth, camera).reshape(-1, 3)[places],
+        faces=number[faces],
+        uv=uv,
+        normals=estimate_normals(np.where(taken, depth, np.nan), camera).reshape(-1, 3)[places],
+        camera=camera,
+    )
+    return mesh if max_triangles is None else simplify(mesh, max_triangles)
+
+
+def simplify(mesh: Mesh, max_triangles: int) -> Mesh:
+    """Return a mesh of the same shape with at most ``max_triangles`` triangles, fewer where the surface is flat.
+
+    Raises:
+        InputError: ``max_triangles`` is below 1.
+        MissingExtraError: fast-simplification is not installed.
+    """
+    if max_triangles < 1:
+        raise InputError(f"a mesh has at least 1 triangle, got max_triangles={max_triangles}")
+    if len(mesh.faces) <= max_triangles:
+        return mesh
+    try:
+        import fast_simplification
+    except ImportError as error:
+        raise MissingExtraError("3d", "simplifying a mesh") from error
+    vertices, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=max_triangles)
+    vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
+    place = mesh.camera.project(vertices.astype(np.float64)) + 0.5
+    uv = (place / (mesh.camera.size[1], mesh.camera.size[0])).astype(np.float32)
+    return Mesh(vertices, faces, uv, vertex_normals(vertices, faces), mesh.camera)
+
+
+def vertex_normals(
+    vertices: Float32[np.ndarray, "vertices 3"], faces: Int32[np.ndarray, "faces 3"]
+) -> Float32[np.ndarray, "vertices 3"]:
+    """Return the mean normal of the triangles around each vertex, weighted by their area; unit vectors."""
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    area = np.cross(b - a, c - a).astype(np.float64)
+    total = np.stack([
+        sum(np.bincount(faces[:, corner], area[:, axis], len(vertices)) for corner in range(3)) for axis in range(3)
+    ], axis=1)  # fmt: skip
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return (total / np.where(length > 0, length, 1)).astype(np.float32)
+
+
+def _faces(
+    depth: Float[np.ndarray, "height width"], taken: Bool[np.ndarray, "height width"], camera: Camera
+) -> Int32[np.ndarray, "faces 3"]:
+    """Return the triangles as flat pixel numbers: of each square of four neighbours the two, the one, or none."""
+    height, width = depth.shape
+    across, along = jumps(np.where(taken, depth, np.nan), camera)
+    top, bottom, left, right = ~across[:-1], ~across[1:], ~along[:, :-1], ~along[:, 1:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inverse = 1 / depth
+        falls = np.abs(inverse[:-1, :-1] - inverse[1:, 1:]) <= np.abs(inverse[:-1, 1:] - inverse[1:, :-1])
+    # The diagonal goes between the two corners that are nearer to each other; a lone corner takes what is left.
+    falls = np.where(taken[:-1, :-1] & taken[1:, 1:], falls | ~(taken[:-1, 1:] & taken[1:, :-1]), False)
+    number = np.arange(height * width, dtype=np.int32).reshape(height, width)
+    nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    kinds = (
+        (falls & left & bottom, (nw, sw, se)),
+        (falls & top & right, (nw, se, ne)),
+        (~falls & top & left, (nw, sw, ne)),
+        (~falls & right & bottom, (ne, sw, se)),
+    )
+    return np.concatenate([np.stack([corner[kind] for corner in corners], axis=1) for kind, corners in kinds])
