@@ -85,7 +85,7 @@ def simplify(mesh: Mesh, max_triangles: int) -> Mesh:
     try:
         import fast_simplification
     except ImportError as error:
-        raise MissingExtraError("3d", "simplifying a mesh") from error
+        raise MissingExtraError("mesh", "simplifying a mesh") from error
     vertices, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=max_triangles)
     vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
     place = mesh.camera.project(vertices.astype(np.float64)) + 0.5
