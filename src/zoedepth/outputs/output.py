@@ -2,13 +2,19 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool
 
 from zoedepth.colors import colorize
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.jumps import flying_pixels
 from zoedepth.images import DepthArray, ImageArray
+
+ValidArray = Bool[np.ndarray, "_height _width"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +22,7 @@ class Maps:
     """The arrays known of one photo, all of one (height, width). Any network's depth can be written as files.
 
     Raises:
-        InputError: a map is not an array (height, width), or their sizes differ.
+        InputError: a map is not an array (height, width), or their sizes or that of the camera differ.
     """
 
     depth: DepthArray | None = None
@@ -27,6 +33,10 @@ class Maps:
     """Inverse depth up to an unknown scale and shift; near is large."""
     image: ImageArray | None = None
     """The photo, RGB."""
+    camera: Camera | None = None
+    """The camera at the size of the maps."""
+    depth_range: tuple[float, float] = (0.0, np.inf)
+    """Metres: depth at or below the first, or beyond the second, is outside of what the depth can be."""
 
     def __post_init__(self) -> None:
         maps = {"depth": self.depth, "std": self.std, "relative": self.relative}
@@ -34,13 +44,47 @@ class Maps:
         sizes = {name: values.shape for name, values in known.items()}
         if self.image is not None:
             sizes["image"] = self.image.shape[:2]
+        if self.camera is not None:
+            sizes["camera"] = tuple(self.camera.size)
+        if self.camera is not None:
+            sizes["camera"] = self.camera.size
         if len(set(sizes.values())) > 1:
-            raise InputError(f"the maps of a photo must have one size (height, width), got {sizes}")
+            raise InputError(f"the maps and the camera of a photo must have one size (height, width), got {sizes}")
 
     @property
     def confidence(self) -> DepthArray | None:
         """1 / (1 + std / depth), in (0, 1]; None without depth or std."""
         return None if self.depth is None or self.std is None else self.depth / (self.depth + self.std)
+
+    @cached_property
+    def usable(self) -> Bool[np.ndarray, "_height _width"] | None:
+        """True where a depth is a finite number above 0, ``valid``, and no flying pixel; None without depth.
+
+        Flying pixels hang in the air between a near surface and a far one; they are found where the camera is known.
+        """
+        if self.depth is None:
+            return None
+        usable = known_depth(self.depth)
+        if self.valid is not None:
+            usable &= self.valid
+        if self.camera is not None:
+            usable &= ~flying_pixels(self.depth, self.camera)
+        return usable
+
+    @cached_property
+    def valid(self) -> ValidArray | None:
+        """True where the depth can be used: finite, within ``depth_range``, and where the camera is known no flying pixel.
+
+        Flying pixels hang in the air between a near thing and what is behind it (``geometry.jumps``). None without
+        depth. Computed once.
+        """
+        if self.depth is None:
+            return None
+        low, high = self.depth_range
+        valid = np.isfinite(self.depth) & (self.depth > low) & (self.depth <= high)
+        if self.camera is not None:
+            valid &= ~flying_pixels(self.depth, self.camera)
+        return valid
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
     try:
         import OpenEXR
     except ImportError as error:
-        raise MissingExtraError("data", f"reading {path.name}") from error
+        raise MissingExtraError("exr", f"reading {path.name}") from error
     check_exists(path)
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
