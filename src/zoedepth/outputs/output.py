@@ -46,8 +46,6 @@ class Maps:
             sizes["image"] = self.image.shape[:2]
         if self.camera is not None:
             sizes["camera"] = tuple(self.camera.size)
-        if self.camera is not None:
-            sizes["camera"] = self.camera.size
         if len(set(sizes.values())) > 1:
             raise InputError(f"the maps and the camera of a photo must have one size (height, width), got {sizes}")
 
@@ -57,26 +55,11 @@ class Maps:
         return None if self.depth is None or self.std is None else self.depth / (self.depth + self.std)
 
     @cached_property
-    def usable(self) -> Bool[np.ndarray, "_height _width"] | None:
-        """True where a depth is a finite number above 0, ``valid``, and no flying pixel; None without depth.
-
-        Flying pixels hang in the air between a near surface and a far one; they are found where the camera is known.
-        """
-        if self.depth is None:
-            return None
-        usable = known_depth(self.depth)
-        if self.valid is not None:
-            usable &= self.valid
-        if self.camera is not None:
-            usable &= ~flying_pixels(self.depth, self.camera)
-        return usable
-
-    @cached_property
     def valid(self) -> ValidArray | None:
-        """True where the depth can be used: finite, within ``depth_range``, and where the camera is known no flying pixel.
+        """True where the depth can be used: it is finite, within ``depth_range``, and no flying pixel.
 
-        Flying pixels hang in the air between a near thing and what is behind it (``geometry.jumps``). None without
-        depth. Computed once.
+        Flying pixels hang in the air between a near thing and what is behind it (``geometry.jumps``); without a camera
+        they are not looked for. None without depth. Computed once.
         """
         if self.depth is None:
             return None

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +24,14 @@ def describe(
     """Return what there is to say about the files of a photo.
 
     Args:
-        maps: the maps that were written, of depth or of relative depth.
+        maps: the maps that were written, of depth or of relative depth. Their camera is told to the last bit.
         origin: how they were made: the photo, the model, the sizes, the domain.
         facts: ``Written.facts`` of all files.
         files: name of each file by the name of its output.
     """
     unit = "none: inverse depth up to an unknown scale and shift, near is large" if maps.depth is None else "metre"
-    return {**origin, "unit": unit, **facts, **_statistics(maps), "files": dict(files)}
+    camera = {} if maps.camera is None else {"camera": asdict(maps.camera)}
+    return {**origin, **camera, "unit": unit, **facts, **_statistics(maps), "files": dict(files)}
 
 
 def _statistics(maps: Maps) -> dict[str, object]:
