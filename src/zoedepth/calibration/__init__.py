@@ -1,0 +1,24 @@
+"""Metres put right by measurements: some readings of a tape measure, a sparse depth map, or a known distance.
+
+A model sees the shape of a room better than its size. One factor on all depths mends the size; some readings tell it.
+
+    calibration = calibrate(result.depth, [(320, 240, 2.35), (50, 400, 1.1), (600, 90, 4.02)])
+    depth = calibration.apply(result.depth)
+    write_calibration("camera.json", calibration)  # for all photos of this camera: zoedepth predict --calibration
+"""
+
+from zoedepth.calibration.calibration import COVERAGE, Calibration, read_calibration, write_calibration
+from zoedepth.calibration.fit import Form, calibrate
+from zoedepth.calibration.readings import Distance, Point, Reading
+
+__all__ = [
+    "COVERAGE",
+    "Calibration",
+    "Distance",
+    "Form",
+    "Point",
+    "Reading",
+    "calibrate",
+    "read_calibration",
+    "write_calibration",
+]
