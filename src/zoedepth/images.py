@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from zoedepth.claims import HEIC_IS_READ, BinaryFile, check_claims
 from zoedepth.errors import InputError, InputWarning
-from zoedepth.pictures import n_full_pages, open_picture
+from zoedepth.pictures import PhotoNotes, is_panorama, n_full_pages, open_picture, read_notes
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
 DepthArray = Float32[np.ndarray, "_height _width"]
@@ -55,7 +56,6 @@ _RATIOS = {"TGA": 16}  # nobody stores photos so; renders with large flat parts 
 # decoders keep more copies, 16, 9, 19 and 8 bytes as measured, and count in proportion.
 _BYTES = {"WEBP": 7, "AVIF": 4, "JPEG2000": 8, "HEIF": 4}
 _ANIMATED = ("GIF", "PNG", "WEBP", "AVIF")
-_PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 _MAX_STREAM = 1 << 29  # bytes
 _DIM_16_BITS = 1 << 14  # with a largest value below, 16 bits hold 14 or fewer
 _DARK, _PLAIN = 16, 4  # of 255: a largest value below, and a spread below
@@ -104,6 +104,37 @@ def read_image_with_orientation(
 ) -> tuple[ImageArray, int]:
     """Read a photograph as ``read_image`` does; returns the EXIF orientation by which it was turned upright, too."""
     return _read(source, max_pixels=max_pixels)
+
+
+def read_image_with_notes(
+    source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS
+) -> tuple[ImageArray, PhotoNotes]:
+    """Read a photograph as ``read_image`` does; returns what its file says about it, too: see ``PhotoNotes``."""
+    picture, orientation, notes = _open(source, max_pixels=max_pixels, notes=True)
+    with picture:
+        return _from_upright(picture, _name(source)), replace(notes, orientation=orientation)
+
+
+def read_photo_notes(source: str | Path | BinaryFile) -> PhotoNotes:
+    """Return what a photo's file says about the photo, without decoding the photo.
+
+    Raises:
+        InputError: it is no picture; see ``read_image``.
+    """
+    picture, _, notes = _open(source, decode=False, notes=True)
+    with picture:
+        return notes
+
+
+def to_image_with_notes(source: Any) -> tuple[ImageArray, PhotoNotes]:
+    """Turn anything that holds a picture into an image, as ``to_image`` does; returns its notes, too.
+
+    Arrays and tensors have none.
+    """
+    if isinstance(source, str | os.PathLike) or hasattr(source, "read"):
+        return read_image_with_notes(Path(source) if isinstance(source, os.PathLike) else source)
+    notes = read_notes(source) if isinstance(source, Image.Image) else PhotoNotes()
+    return to_image(source), notes
 
 
 def to_image(source: Any, *, upright: bool = True) -> ImageArray:
@@ -172,7 +203,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def _read(source: str | Path | BinaryFile, *, max_pixels: int, photo: bool = True) -> tuple[ImageArray, int]:
-    picture, orientation = _open(source, max_pixels=max_pixels)
+    picture, orientation, _ = _open(source, max_pixels=max_pixels)
     with picture:
         return _from_upright(picture, _name(source), photo=photo), orientation
 
@@ -181,8 +212,13 @@ def _name(source: str | Path | BinaryFile) -> str:
     return str(source) if isinstance(source, str | Path) else str(getattr(source, "name", "the open file"))
 
 
-def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> tuple[Image.Image, int]:
-    """Open, decode and turn a picture (``load_upright``), with one kind of error for whatever is wrong with a file."""
+def _open(
+    source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS, decode: bool = True, notes: bool = False
+) -> tuple[Image.Image, int, PhotoNotes]:
+    """Open, decode and turn a picture (``load_upright``), with one kind of error for whatever is wrong with a file.
+
+    Its notes are read if they are asked for.
+    """
     name = _name(source)
     if name.startswith(("http://", "https://")):
         raise InputError(f"{name} is an address, not a file: download it first")
@@ -193,8 +229,11 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> t
             picture = open_picture(file, FORMATS)
             _check_size(picture, file, name, max_pixels)
             check_tiles(picture)
-            _warn_of_more(picture, name)
-            picture, orientation = load_upright(picture)
+            found = read_notes(picture) if notes else PhotoNotes()
+            orientation = found.orientation
+            if decode:
+                _warn_of_more(picture, name)
+                picture, orientation = load_upright(picture)
     except InputError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -203,7 +242,7 @@ def _open(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS) -> t
         raise InputError(f"{name} is not an image in a known format: convert it to JPEG or PNG") from error
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
         raise InputError(f"{name} cannot be read, it may be cut short or damaged: copy it again ({error})") from error
-    return picture, orientation
+    return picture, orientation, found
 
 
 def _seekable(file: BinaryFile) -> BinaryFile:
@@ -221,8 +260,7 @@ def _warn_of_more(picture: Image.Image, name: str) -> None:
     """Say that a file holds more than the picture that is read, or another kind of picture than a model is for."""
     if n_full_pages(picture) > 1 or (picture.format in _ANIMATED and getattr(picture, "is_animated", False)):
         _warn(f"{name} has several pages or frames, and the first is read. Save each as a photo of its own")
-    notes = picture.info.get("xmp", b"")
-    if (notes if isinstance(notes, bytes) else str(notes).encode()).find(_PANORAMA) >= 0:
+    if is_panorama(picture):
         _warn(
             f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong"
         )

@@ -2,11 +2,12 @@
 
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import count
 
-from PIL import Image, UnidentifiedImageError
+from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
 
 from zoedepth.claims import HEIC_IS_READ, BinaryFile
@@ -15,6 +16,47 @@ from zoedepth.claims import HEIC_IS_READ, BinaryFile
 _KIND_TAG, _PREVIEW_OR_MASK, _OLD_KIND_TAG, _OLD_PREVIEW = 254, 0b101, 255, 2
 _MAX_NOTES = 1 << 20  # bytes of the texts and the profile of a PNG together, unpacked: what Pillow allows for one
 _MAX_UNPACKED = 64 * _MAX_NOTES  # bytes that are unpacked to find that out
+_PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
+
+
+@dataclass(frozen=True)
+class PhotoNotes:
+    """What a photo's file says about the photo, beside its pixels. Anybody may have written it, and it may be wrong."""
+
+    tags: Mapping[int, object] = field(default_factory=dict)
+    """EXIF's values by the numbers of their tags, those of the main and those of the Exif directory together. The
+    values are as Pillow reads them; none is checked."""
+    orientation: int = 1
+    """EXIF orientation, 1 to 8, by which the photo is turned upright; 1 where nothing or nonsense is said."""
+    panorama: bool = False
+    """True if XMP says that it is a panorama: a sphere, a part of one, or a strip."""
+    damage: str = ""
+    """The reason why its EXIF could not be read, or not all of it; empty where nothing is wrong."""
+
+
+def read_notes(picture: Image.Image) -> PhotoNotes:
+    """Return what a picture's file says about it. Ask before it is decoded: a TIFF forgets how it was turned.
+
+    Broken notes raise nothing; see ``PhotoNotes.damage``.
+    """
+    tags: dict[int, object] = {}
+    damage = ""
+    try:
+        exif = picture.getexif()
+        tags |= exif
+        tags |= exif.get_ifd(ExifTags.IFD.Exif)
+    except Exception as error:  # Pillow raises nearly anything on broken EXIF, from struct.error to SyntaxError
+        damage = str(error) or type(error).__name__
+    # A HEIC is turned as it is opened, and keeps what it was turned by.
+    orientation = picture.info.get("original_orientation") or tags.get(ExifTags.Base.Orientation)
+    known = isinstance(orientation, int) and 1 <= orientation <= 8
+    return PhotoNotes(tags, orientation if known else 1, is_panorama(picture), damage)
+
+
+def is_panorama(picture: Image.Image) -> bool:
+    """Return True if the XMP of a picture says that it is a panorama."""
+    notes = picture.info.get("xmp", b"")
+    return (notes if isinstance(notes, bytes) else str(notes).encode()).find(_PANORAMA) >= 0
 
 
 def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:

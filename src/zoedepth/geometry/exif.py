@@ -1,0 +1,264 @@
+"""The camera of a photo as the photo's own notes, its EXIF, tell it."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import ExifTags, Image
+
+from zoedepth.claims import BinaryFile
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.sensors import sensor_size
+from zoedepth.images import read_photo_notes
+from zoedepth.pictures import PhotoNotes, read_notes
+
+_TAGS = ExifTags.Base
+_FILM_DIAGONAL = math.hypot(36, 24)  # millimetres, 43.27: the 35-mm equivalent goes by the diagonal (CIPA DCG-001)
+_UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of the focal plane -> millimetres; cameras use 4 and 5, too
+_INCH = 2  # EXIF's unit where none is said
+_MIN_FOV, _MAX_FOV = 1.0, 170.0  # degrees, along the longer side
+_MIN_SENSOR, _MAX_SENSOR = 2.9, 100.0  # millimetres of diagonal: below the smallest phone's, above medium format
+_MAX_SHAPE = 2.5  # longer by shorter side: what goes beyond was stitched, or is a strip
+_MAX_OBLONG = 1.1  # where the two resolutions of a sensor differ more, one of them is wrong: pixels are square
+_MIN_ZOOM = 1.02  # digital zoom below changes nothing that matters
+_BLOCK = 16  # pixels by which JPEGs are cut without loss: a side shorter by less counts as whole
+_APPLE_PANORAMA = 6  # of "CustomRendered"
+_SPHERES = ("theta", "insta360", "gear 360", "qoocam")  # cameras that see all round, where XMP was lost
+
+
+@dataclass(frozen=True)
+class ExifCamera:
+    """The camera that a photo's notes tell, or the reason why they tell none."""
+
+    camera: Camera | None
+    """Pinhole camera of the upright photo, its source "exif"; None where the notes tell none."""
+    reason: str
+    """What the camera is known by, or why there is none, to be put behind the photo's name and a colon: "its 35-mm
+    focal length is 26 mm", "it has no EXIF"."""
+
+
+class _Unknown(Exception):
+    """Raised where notes do not tell the camera: the message says why."""
+
+
+class _Unsaid(Exception):
+    """Raised where notes say nothing of the kind that is asked for."""
+
+
+def read_exif_camera(source: str | Path | BinaryFile | Image.Image | PhotoNotes, size: tuple[int, int]) -> ExifCamera:
+    """Return the camera that a photo's notes tell, at the size of the upright photo.
+
+    Three things tell it, the first that makes sense: the focal length in terms of 35-mm film, by the diagonal of the
+    photo; the focal length in millimetres with the resolution of the sensor; the same with the size of the sensor,
+    where ``sensors`` knows the model. The size that the photo had when it was taken says what became of it since: in
+    the same proportions it was resized; with one side left as it was it was cropped, and is taken to look through its
+    middle still; otherwise nobody can tell.
+
+    Args:
+        source: a path, an open file, a PIL image, or the notes that came with an image.
+        size: (height, width) of the photo as it is read: upright.
+
+    Raises:
+        InputError: ``source`` is a file that is no picture. Broken notes raise nothing.
+    """
+    if isinstance(source, Image.Image):
+        notes = read_notes(source)
+    else:
+        notes = source if isinstance(source, PhotoNotes) else read_photo_notes(source)
+    try:
+        focal, known_by = _focal(notes, size)
+    except _Unknown as reason:
+        return ExifCamera(None, str(reason))
+    return ExifCamera(Camera.from_focal(focal, size, source="exif"), known_by)
+
+
+def _focal(notes: PhotoNotes, size: tuple[int, int]) -> tuple[float, str]:
+    """Return the focal length in pixels of the photo, and what tells it."""
+    if not notes.tags:
+        raise _Unknown(f"its EXIF is damaged ({notes.damage})" if notes.damage else "it has no EXIF")
+    _refuse_other_projections(notes)
+    now = size[::-1] if notes.orientation < 5 else size  # (width, height) as stored
+    taken = _size_taken(notes) or now
+    if max(taken) > _MAX_SHAPE * min(taken):
+        raise _Unknown(f"it has {taken[0]} x {taken[1]} pixels, the shape of a panorama or a strip")
+    complaints: list[str] = []
+    for tell in (_by_film, _by_focal_plane, _by_sensor):
+        try:
+            focal, known_by = tell(notes, taken)
+            fov = 2 * math.degrees(math.atan2(max(taken) / 2, focal))
+            if not _MIN_FOV <= fov <= _MAX_FOV:
+                raise _Unknown(f"{known_by}, a field of view of {fov:.3g} degrees, which is nonsense")
+        except _Unsaid:
+            continue
+        except _Unknown as complaint:
+            complaints.append(str(complaint))
+            continue
+        factor, change = _since_taken(taken, now)
+        return focal * factor, known_by + change
+    raise _Unknown("; ".join(complaints) or "its EXIF does not tell the focal length and what to measure it by")
+
+
+def _by_film(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
+    """Return what the 35-mm equivalent says."""
+    film = _number(notes, _TAGS.FocalLengthIn35mmFilm, "35-mm focal length", "mm")
+    known_by = f"its 35-mm focal length is {film:g} mm"
+    zoom = _zoom(notes)
+    try:
+        lens = _number(notes, _TAGS.FocalLength, "focal length", "mm")
+    except (_Unsaid, _Unknown):
+        lens = None
+    if zoom > _MIN_ZOOM and _text(notes, _TAGS.Make).lower() != "apple":  # Apple's equivalent includes the zoom
+        diagonal = _sensor_diagonal(notes, taken)
+        if lens is None or diagonal is None:
+            raise _Unknown(f"{known_by}, and nobody can tell whether that includes its digital zoom of {zoom:g}")
+        # The one of the two that the sensor is nearer to, on a scale of factors.
+        bare = lens * _FILM_DIAGONAL / diagonal
+        if abs(math.log(film / bare)) < abs(math.log(film / (bare * zoom))):
+            film *= zoom
+            known_by += f", times its digital zoom of {zoom:g}"
+            zoom = 1.0
+    if lens is not None:
+        # Some programs give the equivalent of a small picture of a large sensor, too long by as much as it is smaller.
+        sensor = lens * _FILM_DIAGONAL / film * zoom
+        if not _MIN_SENSOR <= sensor <= _MAX_SENSOR:
+            raise _Unknown(f"{known_by}, which no sensor makes of a lens of {lens:g} mm")
+    return film / _FILM_DIAGONAL * math.hypot(*taken), known_by
+
+
+def _by_focal_plane(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
+    """Return what the focal length in millimetres and the resolution of the sensor say."""
+    resolution = _resolution(notes)
+    lens = _number(notes, _TAGS.FocalLength, "focal length", "mm")
+    known_by = f"its focal length is {lens:g} mm, with {resolution:.4g} pixels per mm on its sensor"
+    if (zoom := _zoom(notes)) > _MIN_ZOOM:
+        raise _Unknown(f"{known_by}, and nobody can tell whether that includes its digital zoom of {zoom:g}")
+    diagonal = math.hypot(*taken) / resolution
+    if not _MIN_SENSOR <= diagonal <= _MAX_SENSOR:
+        raise _Unknown(f"{known_by}, which would be {diagonal:.3g} mm from corner to corner")
+    return lens * resolution, known_by
+
+
+def _by_sensor(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
+    """Return what the focal length in millimetres and the size of the sensor say, where the model is known."""
+    make, model = _text(notes, _TAGS.Make), _text(notes, _TAGS.Model)
+    sensor = sensor_size(make, model)
+    if sensor is None:
+        raise _Unsaid
+    lens = _number(notes, _TAGS.FocalLength, "focal length", "mm")
+    width, height = sensor
+    # Of another shape, the photo has the whole of one side of the sensor, and not all of the other.
+    resolution = max(max(taken) / width, min(taken) / height)
+    known_by = f"its focal length is {lens:g} mm, with the sensor of {width:g} x {height:g} mm of a {model}"
+    zoom = max(_zoom(notes), 1.0)
+    return lens * resolution * zoom, known_by + (f", times its digital zoom of {zoom:g}" if zoom > _MIN_ZOOM else "")
+
+
+def _resolution(notes: PhotoNotes) -> float:
+    """Return the pixels per millimetre on the sensor."""
+    across = _number(notes, _TAGS.FocalPlaneXResolution, "focal plane's resolution", "")
+    unit = notes.tags.get(_TAGS.FocalPlaneResolutionUnit, _INCH)
+    if unit not in _UNITS:
+        raise _Unknown(f"its focal plane's resolution has the unit {unit}, which EXIF does not know")
+    try:
+        down = _number(notes, _TAGS.FocalPlaneYResolution, "focal plane's resolution", "")
+    except (_Unsaid, _Unknown):
+        down = across
+    if not 1 / _MAX_OBLONG <= across / down <= _MAX_OBLONG:
+        raise _Unknown(
+            f"its focal plane's resolution is {across:.6g} across and {down:.6g} down, and one must be wrong"
+        )
+    return math.sqrt(across * down) / _UNITS[unit]
+
+
+def _sensor_diagonal(notes: PhotoNotes, taken: tuple[int, int]) -> float | None:
+    """Return the diagonal of the sensor in millimetres, where the model or its resolution tells it."""
+    sensor = sensor_size(_text(notes, _TAGS.Make), _text(notes, _TAGS.Model))
+    if sensor is not None:
+        return math.hypot(*sensor)
+    try:
+        return math.hypot(*taken) / _resolution(notes)
+    except (_Unsaid, _Unknown):
+        return None
+
+
+def _refuse_other_projections(notes: PhotoNotes) -> None:
+    """Refuse what no pinhole camera takes."""
+    make, model, lens = (_text(notes, tag).lower() for tag in (_TAGS.Make, _TAGS.Model, _TAGS.LensModel))
+    stitched = make == "apple" and notes.tags.get(_TAGS.CustomRendered) == _APPLE_PANORAMA
+    if notes.panorama or stitched or any(name in f"{make} {model}" for name in _SPHERES):
+        raise _Unknown("it is a panorama, which no pinhole camera takes")
+    undistort = "undistort it first, e.g. by cv2.undistort or lensfun, and give the camera of the result"
+    if "fisheye" in lens or "fish-eye" in lens:
+        raise _Unknown(f"its lens is a fisheye, which bends straight lines: {undistort}")
+    if make == "gopro":
+        raise _Unknown(f"GoPros bend straight lines unless they are told not to, and EXIF does not tell: {undistort}")
+
+
+def _size_taken(notes: PhotoNotes) -> tuple[int, int] | None:
+    """Return the width and height of the photo as it was taken, pixels; None where that is not said."""
+    try:
+        sides = [_number(notes, tag, "size", "pixels") for tag in (_TAGS.ExifImageWidth, _TAGS.ExifImageHeight)]
+    except (_Unsaid, _Unknown):
+        return None
+    return (round(sides[0]), round(sides[1])) if min(sides) >= 1 else None
+
+
+def _since_taken(taken: tuple[int, int], now: tuple[int, int]) -> tuple[float, str]:
+    """Return by how much the photo was resized since it was taken, and what is to be said about it."""
+    if taken == now:
+        return 1.0, ""
+    said = f"{taken[0]} x {taken[1]} pixels when it was taken"
+    cropped = _is_cropped(taken, now)
+    # Programs that turn a photo upright often leave the sides as they were said.
+    if _is_resized(taken, now) or (_is_resized(taken[::-1], now) and not cropped):
+        return math.hypot(*now) / math.hypot(*taken), f", and it had {said}"
+    if not _is_resized(taken[::-1], now) and (cropped or _is_cropped(taken[::-1], now)):
+        return 1.0, f", and it was cropped: it had {said}"
+    raise _Unknown(f"it has {now[0]} x {now[1]} pixels and had {said}, and nobody can tell how much it was resized")
+
+
+def _is_resized(taken: tuple[int, int], now: tuple[int, int]) -> bool:
+    """Return True for the same proportions: a side that is rounded to whole pixels is wrong by less than one."""
+    return abs(now[0] * taken[1] - now[1] * taken[0]) <= sum(taken)
+
+
+def _is_cropped(taken: tuple[int, int], now: tuple[int, int]) -> bool:
+    """Return True where one side is whole, and the other is shorter."""
+    missing = [before - after for before, after in zip(taken, now, strict=True)]
+    return min(missing) >= 0 and any(
+        side < min(_BLOCK, 1 + before // 50) for side, before in zip(missing, taken, strict=True)
+    )
+
+
+def _zoom(notes: PhotoNotes) -> float:
+    """Return the factor of digital zoom; 1 where none is said."""
+    try:
+        return _number(notes, _TAGS.DigitalZoomRatio, "digital zoom", "")
+    except (_Unsaid, _Unknown):  # 0 is EXIF's way to say that there was none
+        return 1.0
+
+
+def _number(notes: PhotoNotes, tag: int, what: str, unit: str) -> float:
+    """Return a positive number of the notes."""
+    if (value := notes.tags.get(tag)) is None:
+        raise _Unsaid
+    if isinstance(value, tuple) and len(value) == 1:
+        value = value[0]
+    try:
+        number = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, OverflowError, ZeroDivisionError):
+        number = math.nan
+    if not 0 < number < math.inf:
+        raise _Unknown(f"its {what} is {_shown(value)}{' ' * bool(unit)}{unit}, which is nonsense")
+    return number
+
+
+def _shown(value: object) -> str:
+    """Return a value that anybody may have written, short and in one line."""
+    return ascii(value)[:40] if isinstance(value, str | bytes | tuple) else str(value)[:40]
+
+
+def _text(notes: PhotoNotes, tag: int) -> str:
+    """Return a short text of the notes; empty where there is none."""
+    value = notes.tags.get(tag)
+    return value.strip("\0 ")[:100] if isinstance(value, str) else ""
