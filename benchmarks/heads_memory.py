@@ -145,7 +145,7 @@ def _trained(network: Callable[..., DepthOutput], inputs: Tensor | DecoderFeatur
     mask, none = torch.ones_like(target, dtype=torch.bool), torch.zeros(len(target), dtype=torch.long)
     batch = Batch(target, target, mask, none, none, ["random"] * len(target), "depth")
     config = TrainConfig("metric", replace(ZOED_LITE, domains=(INDOOR,)), (), steps=1)
-    torch.stack(list(metric_losses(output, batch, config).values())).sum().backward()
+    torch.stack(list(metric_losses(output, batch, config, ()).values())).sum().backward()
 
 
 if __name__ == "__main__":

@@ -9,9 +9,11 @@ from zoedepth.errors import InputError
 from zoedepth.losses import (
     domain_cross_entropy,
     gradient_error,
+    log_gradient,
     mean_counted,
     normalize_robust,
     silog,
+    spread,
     trimmed_absolute_error,
 )
 from zoedepth.losses import (
@@ -382,3 +384,34 @@ def test_collapsed_prediction_has_a_finite_loss_and_gradient(loss: Callable[...,
     result.backward()
     assert result.isfinite()
     assert prediction.grad.isfinite().all()
+
+
+# --- terms of metric depth that the paper does not have ------------------------------------------------------------------
+
+
+def test_log_gradient_is_the_mean_of_the_images_that_have_known_pixels():
+    prediction, target, mask = random_maps(batch=3)
+    mask[1] = False
+    ratio = torch.log(prediction / target)
+    expected = [gradient_error(ratio[i, 0], mask[i, 0], n_scales=4).item() for i in (0, 2)]
+    loss = log_gradient(prediction, target.masked_fill(~mask, 0), mask)
+    assert loss.item() == pytest.approx(sum(expected) / 2, rel=1e-4)  # the target is 0 where it is unknown
+    assert log_gradient(7 * prediction, target, mask).item() == pytest.approx(loss.item(), rel=1e-4)  # any one factor
+
+
+def test_spread_by_hand_and_least_where_it_is_the_error():
+    depth, target = maps([[2.0, 4.0]]), maps([[1.0, 0.0]])
+    known = torch.tensor([[[[True, False]]]])
+    loss = spread(depth, maps([[0.5, 9.0]]), target, known)
+    assert loss.item() == pytest.approx(math.log(0.25) + 1 / 0.5)
+    around = [spread(depth, maps([[s, 9.0]]), target, known).item() for s in (0.9, 1.0, 1.1)]
+    assert around[1] < min(around[0], around[2])
+    assert math.isfinite(spread(depth, torch.zeros_like(depth), target, known).item())  # s is at least 0.001 d
+    assert spread(depth, depth, target, known & False).item() == 0
+
+
+def test_spread_moves_the_standard_deviation_and_not_the_depth():
+    depth, std = maps([[2.0, 4.0]]).requires_grad_(), maps([[0.5, 0.5]]).requires_grad_()
+    spread(depth, std, maps([[1.0, 3.0]]), torch.ones(1, 1, 1, 2, dtype=torch.bool)).backward()
+    assert depth.grad is None
+    assert std.grad is not None and (std.grad < 0).all()  # it is too sure: the deviation grows

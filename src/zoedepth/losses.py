@@ -204,6 +204,41 @@ def _inside(
     return depth, known
 
 
+def log_gradient(
+    prediction: Map, target: Map, mask: Mask, *, n_scales: int = 4, eps: float = 1e-7, total: Total = alone
+) -> Float[Tensor, ""]:
+    """Compute the error of the depth's edges: ``gradient_error`` of ln(prediction) - ln(target), the mean over images.
+
+    Images without known pixels do not count. (Not in the paper: MiDaS' gradient term, for depth in metres.)
+    """
+    residual = torch.log(prediction.float() + eps) - torch.log(target.float().clamp(min=0) + eps)
+    images = torch.stack([gradient_error(r[0], m[0], n_scales=n_scales) for r, m in zip(residual, mask, strict=True)])
+    return mean_counted(images, mask.flatten(1).any(dim=1), total=total)
+
+
+def spread(
+    depth: Map, std: Map, target: Map, mask: Mask, *, min_ratio: float = 1e-3, total: Total = alone
+) -> Float[Tensor, ""]:
+    """Compute how badly the standard deviation tells the error: ln(s / d) + |d - target| / s, the mean of the pixels.
+
+    It is least where s is the error to be expected of such pixels. The depth d is taken as it is: no gradient makes it
+    worse to be surer of it. (Not in the paper: the negative log-likelihood of Laplace's distribution.)
+
+    Args:
+        depth: d, metres, > 0.
+        std: s, metres.
+        target: metres; anything where it is unknown.
+        mask: True where it is known.
+        min_ratio: s is not taken for less than this share of d.
+        total: sums a tensor over all processes.
+    """
+    depth, mask = depth.detach().float(), mask.bool()
+    std = torch.maximum(std.float(), min_ratio * depth)
+    error = torch.where(mask, (depth - target.float()).abs(), 0.0)
+    pixels = torch.where(mask, torch.log(std / depth) + error / std, 0.0)
+    return total(pixels.sum()) / total(mask.sum().float()).clamp(min=1)
+
+
 def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:
     """Compute the cross-entropy of the router's scores against the domain labels (paper section 3.3, R.2)."""
     return F.cross_entropy(logits.float(), domain)

@@ -56,7 +56,7 @@ def losses_of(model: DepthModel, pixels: Tensor) -> dict[str, Tensor]:
     target = torch.linspace(1, 8, size[1]).expand(n, 1, *size)
     batch = Batch(pixels, target, torch.ones(n, 1, *size, dtype=torch.bool), none, none, ["?"] * n, "depth")
     torch.manual_seed(0)  # the same windows and dropout every time
-    return metric_losses(model(pixels), batch, TrainConfig("metric", ZOED_LITE, (), steps=1))
+    return metric_losses(model(pixels), batch, TrainConfig("metric", ZOED_LITE, (), steps=1), ())
 
 
 def gradients(model: DepthModel, pixels: Tensor) -> dict[str, Tensor | None]:

@@ -99,13 +99,31 @@ def test_loss_terms_are_those_of_the_batch() -> None:
         torch.zeros(2, 3, 4, 4), target, target > 0, torch.tensor([0, 1]), torch.tensor([0, 0]), ["a", "b"], "depth"
     )
 
-    terms = metric_losses(output, batch, weighing(3.0))
+    terms = metric_losses(output, batch, weighing(3.0), ())
 
     # All pixels are off by ln 2, so the variance is 0: 10 sqrt(0.15) ln 2. Two equal scores: 3 ln 2.
     assert terms["silog"].item() == pytest.approx(10 * 0.15**0.5 * 0.693147, rel=1e-4)
     assert terms["domain"].item() == pytest.approx(3 * 0.693147, rel=1e-5)
-    assert set(metric_losses(output, batch, weighing(0.0))) == {"silog"}
-    assert set(metric_losses(output._replace(domain_logits=None), batch, weighing(3.0))) == {"silog"}
+    assert set(metric_losses(output, batch, weighing(0.0), ())) == {"silog"}
+    assert set(metric_losses(output._replace(domain_logits=None), batch, weighing(3.0), ())) == {"silog"}
+
+
+def test_terms_of_edges_and_of_doubt_are_weighed_and_leave_scattered_depth_out() -> None:
+    depth = torch.tensor([1.0, 1.0, 2.0, 2.0]).expand(2, 1, 4, 4)
+    target = torch.ones(2, 1, 4, 4)
+    output = DepthOutput(depth, depth, torch.tensor([0, 0]), None, std=depth / 2, bin_centers=None, probability=None)
+    batch = Batch(depth, target, target > 0, torch.tensor([0, 0]), torch.tensor([0, 1]), ["a", "b"], "depth")
+    sources = (CALM, dataclasses.replace(CALM, name="lidar", gradient_term=False))
+    config = dataclasses.replace(weighing(0.0), log_gradient_weight=2.0, spread_weight=3.0)
+
+    terms = metric_losses(output, batch, config, sources)
+
+    # Of 16 pixels 4 have a neighbour to the right that is farther by ln 2. At the second stride the 4 pixels are two
+    # pairs off by ln 2; beyond that nothing has a neighbour. The lidar's image does not count.
+    assert terms["log_gradient"].item() == pytest.approx(2 * 0.693147 * (4 / 16 + 2 / 4), rel=1e-5)
+    # Half of the pixels are right, the others off by 1 m, with s = 1 m. s / d is 1/2 everywhere.
+    assert terms["spread"].item() == pytest.approx(3 * (-0.693147 + 0.5), rel=1e-5)
+    assert set(metric_losses(output._replace(std=None), batch, config, sources)) == {"silog", "log_gradient"}
 
 
 @pytest.mark.parametrize("kind", ["labeled", "auto"])
@@ -118,9 +136,11 @@ def test_other_routers_train(
     labels: list[object] = []
     forward = ZoeDepth.forward
 
-    def spy(self: ZoeDepth, pixels: torch.Tensor, domain: torch.Tensor | None = None) -> DepthOutput:
+    def spy(
+        self: ZoeDepth, pixels: torch.Tensor, *, domain: torch.Tensor | None = None, return_std: bool = False
+    ) -> DepthOutput:
         labels.append(domain if domain is None else domain.tolist())
-        return forward(self, pixels, domain=domain)
+        return forward(self, pixels, domain=domain, return_std=return_std)
 
     monkeypatch.setattr(ZoeDepth, "forward", spy)
     train_metric(config, data=data, out=tmp_path, init=None)

@@ -27,18 +27,30 @@ class SourceConfig:
     """Stored value of one metre, for whole numbers of which the data does not name one."""
     max_depth: float | None = None
     """Metres from which on depth is unknown, for data that does not name them."""
+    root: str | None = None
+    """The folder that the paths of a list are relative to; None: that of the list."""
+    focal_px: float | None = None
+    """Focal length of its photos, pixels, for data that does not name one. Only a model in a canonical camera asks."""
+    without_camera: Literal["refuse", "assume"] = "refuse"
+    """Stage 2 of a model in a canonical camera, a photo whose focal length nobody says. refuse: it is an error. assume:
+    it is taken to come from the canonical camera."""
     sparse: bool = False
     """Depth is known at scattered points (lidar). Resizing then keeps every point; to take every n-th pixel would lose
     most of them."""
     gradient_term: bool = True
-    """Stage 1: use the gradient term of the loss. False for scattered depth, whose points have no neighbours (DPT)."""
+    """Use the gradient term of the loss, where the training has one. False for scattered depth, whose points have no
+    neighbours (DPT)."""
     crop: Literal["squeeze", "fit", "window"] = "squeeze"
     """squeeze: the whole photo, resized to the network's shape (released). fit: the largest window of the network's
     shape, resized. window: a window of the size below, not resized (the native baselines)."""
     window: tuple[int, int] | None = None
     """window only: (height, width), multiples of what the model needs; None: the model's size."""
     max_zoom: float = 1.0
-    """fit only: windows are up to this many times smaller than the photo; depth is divided by the same number."""
+    """fit only: windows are up to this many times smaller than the photo; depth is divided by the same number. In a
+    canonical camera that is a longer lens."""
+    min_zoom: float = 1.0
+    """fit only: below 1, down to 0.5, windows are also larger than the photo, by up to 1 / this number, and depth is
+    multiplied likewise, as of a wider lens. Around the photo its borders are reflected, and depth is unknown there."""
     zoom_probability: float = 1.0
     """fit only: share of the samples that are zoomed in on."""
     kitti_crop: bool = False
@@ -126,6 +138,11 @@ class TrainConfig:
     """metric: weight of the chamfer distance between an image's bins and its depths, for AdaBins."""
     window_chamfer_weight: float = 0.02
     """metric: weight of the chamfer distance between windows' bins and their depths, for LocalBins with windows."""
+    log_gradient_weight: float = 0.0
+    """metric: weight of the error of the edges, the differences between neighbours of ln depth. Sources whose depth is
+    scattered leave it out (``SourceConfig.gradient_term``)."""
+    spread_weight: float = 0.0
+    """metric: weight of the likelihood that ties the standard deviation of the bins to the error of the depth."""
     route_by_label: bool = True
     """metric: while training, an image goes to the head of its label; False: to the router's choice (released)."""
     trim: float = 0.2
@@ -222,3 +239,5 @@ class FinetuneOptions:
     """Highest rate; None: chosen by the kind of encoder."""
     seed: int = 43
     """Seed of the order of the data and the augmentations."""
+    root: str | None = None
+    """The folder that the paths of lists are relative to; None: that of each list."""

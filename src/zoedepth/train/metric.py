@@ -1,6 +1,6 @@
 """Stage 2: train the whole model on depth in metres (paper section 3.3)."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -9,7 +9,7 @@ from torch import Tensor
 from zoedepth import losses
 from zoedepth.data.sample import Batch
 from zoedepth.model.zoedepth import DepthOutput
-from zoedepth.train.config import TrainConfig
+from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.processes import launch_fabric, total
 from zoedepth.train.report import report
 from zoedepth.train.run import last_checkpoint, set_up
@@ -52,9 +52,10 @@ def train_metric(
             for i in range(config.accumulate):
                 batch = next(run.batches)
                 # Forward.
-                output = run.network(batch.pixels, domain=batch.domain if config.route_by_label else None)
+                domain = batch.domain if config.route_by_label else None
+                output = run.network(batch.pixels, domain=domain, return_std=config.spread_weight > 0)
                 # Loss.
-                terms = metric_losses(output, batch, config)
+                terms = metric_losses(output, batch, config, run.sources)
                 loss = torch.stack(list(terms.values())).sum()
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
@@ -67,12 +68,20 @@ def train_metric(
         return last_checkpoint(run)
 
 
-def metric_losses(output: DepthOutput, batch: Batch, config: TrainConfig) -> dict[str, Tensor]:
+def metric_losses(
+    output: DepthOutput, batch: Batch, config: TrainConfig, sources: Sequence[SourceConfig]
+) -> dict[str, Tensor]:
     """Return the terms of the loss by name, weighted, each computed over the batch of all processes.
 
     These are: SILog of the depth, or the ordinal loss where the head gives ordinal logits; the chamfer distance to the
-    true depths where the head gives bins to compare; cross-entropy against the domain labels where the router has
-    scores.
+    true depths where the head gives bins to compare; the errors of the edges and of the standard deviation where the
+    configuration weighs them; cross-entropy against the domain labels where the router has scores.
+
+    Args:
+        output: what the model says of the batch; with ``std`` where the configuration weighs its error.
+        batch: the samples.
+        config: the weights of the terms.
+        sources: the data sets of the training, in the order that ``batch.source`` counts.
     """
     supervision = output.supervision
     if supervision.ordinal is not None:
@@ -85,6 +94,15 @@ def metric_losses(output: DepthOutput, batch: Batch, config: TrainConfig) -> dic
     if supervision.window_bins is not None and config.window_chamfer_weight > 0:
         chamfer = losses.window_bins_chamfer(*supervision.window_bins, batch.target, batch.mask, total=total)
         terms["window_chamfer"] = config.window_chamfer_weight * chamfer
+    if config.log_gradient_weight > 0:
+        smooth = torch.tensor([source.gradient_term for source in sources], device=batch.mask.device)
+        mask = batch.mask & smooth[batch.source][:, None, None, None]
+        terms["log_gradient"] = config.log_gradient_weight * losses.log_gradient(
+            output.depth, batch.target, mask, total=total
+        )
+    if config.spread_weight > 0 and output.std is not None:
+        spread = losses.spread(output.depth, output.std, batch.target, batch.mask, total=total)
+        terms["spread"] = config.spread_weight * spread
     if output.domain_logits is not None and config.domain_weight > 0:
         entropy, n = losses.domain_cross_entropy(output.domain_logits, batch.domain), batch.domain.new_ones(())
         terms["domain"] = config.domain_weight * total(entropy) / total(n)

@@ -81,7 +81,7 @@ def loss_of(output: HeadOutput, size: tuple[int, int]) -> Tensor:
     none = torch.zeros(n, dtype=torch.long)
     said = DepthOutput(upsample(output.depth, torch.Size(size)), None, none, None, None, None, None, output.supervision)
     batch = Batch(torch.zeros(n, 3, *size), target, mask, none, none, ["?"] * n, "depth")
-    terms = metric_losses(said, batch, TrainConfig("metric", ZOED_LITE, (), steps=1))
+    terms = metric_losses(said, batch, TrainConfig("metric", ZOED_LITE, (), steps=1), ())
     return torch.stack(list(terms.values())).sum()
 
 
