@@ -386,7 +386,7 @@ def test_collapsed_prediction_has_a_finite_loss_and_gradient(loss: Callable[...,
     assert prediction.grad.isfinite().all()
 
 
-# --- terms of metric depth that the paper does not have ------------------------------------------------------------------
+# --- terms of metric depth that the paper does not have ---------------------------------------------------------------
 
 
 def test_log_gradient_is_the_mean_of_the_images_that_have_known_pixels():
@@ -414,4 +414,5 @@ def test_spread_moves_the_standard_deviation_and_not_the_depth():
     depth, std = maps([[2.0, 4.0]]).requires_grad_(), maps([[0.5, 0.5]]).requires_grad_()
     spread(depth, std, maps([[1.0, 3.0]]), torch.ones(1, 1, 1, 2, dtype=torch.bool)).backward()
     assert depth.grad is None
-    assert std.grad is not None and (std.grad < 0).all()  # it is too sure: the deviation grows
+    assert std.grad is not None
+    assert (std.grad < 0).all()  # it is too sure: the deviation grows
