@@ -26,7 +26,7 @@ ACCEPTED = f"""accepted are
     shards: a .tar, {INDEX_FILE}, their address, or a folder of them (also SPLIT/ in it)
     a published data set in its official folder, under its name: {", ".join(DATASETS)}
     Hugging Face: hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that save_to_disk wrote
-    rendered scenes: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384]"""
+    rendered scenes: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384&fov=35-100]"""
 
 SCENES = {"rooms": ("indoor",), "streets": ("outdoor",), "all": ("indoor", "outdoor")}
 """Name of rendered scenes → their domains."""
@@ -136,7 +136,7 @@ def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:
 
 
 def _open_synthetic(text: str) -> DepthDataset:
-    address, options = _options(text, {"n", "seed", "size"})
+    address, options = _options(text, {"n", "seed", "size", "fov"})
     if address not in SCENES:
         raise InputError(f"cannot open {text}: the scenes are {', '.join(SCENES)}; {ACCEPTED}")
     numbers = re.fullmatch(
@@ -146,7 +146,11 @@ def _open_synthetic(text: str) -> DepthDataset:
     if not numbers:
         raise InputError(f"cannot open {text}: n and seed must be whole numbers, and size HEIGHTxWIDTH")
     n, seed, height, width = map(int, numbers.groups())
-    return SyntheticScenes(n, size=(height, width), seed=seed, domains=SCENES[address])
+    lens = re.fullmatch(r"(\d{1,3}(?:\.\d+)?)(?:-(\d{1,3}(?:\.\d+)?))?", options.get("fov", "0"))
+    if not lens:
+        raise InputError(f"cannot open {text}: fov must be degrees across the picture, such as 60 or 35-100")
+    fov = None if "fov" not in options else (float(lens[1]), float(lens[2] or lens[1]))
+    return SyntheticScenes(n, size=(height, width), seed=seed, domains=SCENES[address], fields_of_view=fov)
 
 
 def _options(text: str, known: set[str]) -> tuple[str, dict[str, str]]:

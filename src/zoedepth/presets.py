@@ -26,6 +26,30 @@ from zoedepth.config import (
 )
 from zoedepth.config.heads import HEAD_CONFIGS
 from zoedepth.errors import InputError, no_such
+from zoedepth.sizes import network_focal, network_size
+
+TRAINING_CAMERAS: dict[str, tuple[tuple[float, float], tuple[int, int]]] = {
+    "indoor": ((518.8579, 519.4696), (480, 640)),
+    "outdoor": ((721.5377, 721.5377), (352, 1216)),
+}
+"""Domain → ((fx, fy), (height, width)), pixels, of the photos that the paper's models learn its metres from: those of
+NYU Depth v2, and those of KITTI (its most frequent camera) after the KB crop."""
+
+
+def in_training_cameras(config: ModelConfig) -> ModelConfig:
+    """Give the domains indoor and outdoor the focal lengths of NYU and KITTI, as the network of this config sees them.
+
+    Photos are not padded, neither in training nor in the paper's evaluation.
+    """
+
+    def focal(name: str) -> float | None:
+        if name not in TRAINING_CAMERAS:
+            return None
+        focal_px, size = TRAINING_CAMERAS[name]
+        network = network_size(size, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio)
+        return round(network_focal(focal_px, size, network), 2)
+
+    return replace(config, domains=tuple(replace(each, focal_px=focal(each.name)) for each in config.domains))
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -111,23 +135,25 @@ def with_head(config: ModelConfig, name: str) -> ModelConfig:
     return config if isinstance(config.head, HEAD_CONFIGS[name]) else replace(config, head=HEAD_CONFIGS[name]())
 
 
-ZOED_LITE = ModelConfig(
-    ENCODERS["tf_efficientnet_lite0"],
-    decoder=DecoderConfig(widths=(48, 96, 128, 160), features=32, output_stride=2),
-    head=AttractorConfig(
-        n_bins=32,
-        reduce="mean",
-        alpha=1.0,
-        initial_centers="geometric",
-        bottleneck_factor=4,
-        embedding_width=32,
-        projector_width=32,
-        seed_width=128,
-    ),
-    domains=(INDOOR, OUTDOOR),
-    size=(256, 352),
-    antialias=True,
-    pad=False,
+ZOED_LITE = in_training_cameras(
+    ModelConfig(
+        ENCODERS["tf_efficientnet_lite0"],
+        decoder=DecoderConfig(widths=(48, 96, 128, 160), features=32, output_stride=2),
+        head=AttractorConfig(
+            n_bins=32,
+            reduce="mean",
+            alpha=1.0,
+            initial_centers="geometric",
+            bottleneck_factor=4,
+            embedding_width=32,
+            projector_width=32,
+            seed_width=128,
+        ),
+        domains=(INDOOR, OUTDOOR),
+        size=(256, 352),
+        antialias=True,
+        pad=False,
+    )
 )
 """The paper's future "mobile architecture": the model shipped in the package."""
 

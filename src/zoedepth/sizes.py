@@ -1,4 +1,6 @@
-"""The size at which the network sees a photo, in integers."""
+"""The size at which the network sees a photo, and the focal length that the photo then has."""
+
+import math
 
 
 def network_size(
@@ -22,3 +24,17 @@ def network_size(
     scale = scales[1] if abs(1 - scales[1]) < abs(1 - scales[0]) else scales[0]
     height, width = (max(multiple, round(scale * side / multiple) * multiple) for side in size)
     return height, width
+
+
+def network_focal(focal_px: tuple[float, float], size: tuple[int, int], network: tuple[int, int]) -> float:
+    """Return the focal length of a photo as the network sees it, in pixels of the network's input.
+
+    One number stands for both axes, the geometric mean: rounding to multiples, and squeezing, stretch a photo a little
+    more along one axis than along the other.
+
+    Args:
+        focal_px: (fx, fy), pixels of the photo.
+        size: (height, width) of the photo, with its padding if it gets any: padding makes things look smaller, too.
+        network: (height, width) to which the padded photo is resized.
+    """
+    return math.sqrt(focal_px[0] * network[1] / size[1] * focal_px[1] * network[0] / size[0])

@@ -72,7 +72,7 @@ def values(tiny_config: ModelConfig) -> dict[str, Any]:
 )
 def test_wrong_type_is_an_error_that_names_the_field(kind: type, name: str, wrong: Any, values: dict[str, Any]):
     part = at(values, kind)
-    if type(part[name]) is type(wrong):
+    if type(part[name]) is type(wrong) or (name == "focal_px" and isinstance(wrong, float)):  # it is None there
         wrong = {"an": "object"}
     part[name] = wrong
     with pytest.raises(InputError, match=name):

@@ -1,5 +1,6 @@
 """The configuration of a model, in frozen dataclasses that every checkpoint carries as JSON."""
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Literal
@@ -93,10 +94,16 @@ class Domain:
     min_depth: float = 1e-3
     """Nearest depth, metres."""
     max_depth: float = 10.0
-    """Farthest depth, metres. It bounds normed centers; softplus centers may go beyond."""
+    """Farthest depth, metres. It bounds normed centers; softplus centers may go beyond. In a canonical camera it bounds
+    the depth that is scaled to that camera, which is ``focal_px`` / focal length times the depth of the scene."""
+    focal_px: float | None = None
+    """Focal length of the photos that the model learned this domain's metres from, counted in pixels of the photo as
+    the network saw it (``zoedepth.sizes.network_focal``). None: not known. It belongs to ``size`` of the config."""
 
     def __post_init__(self) -> None:
         require(bool(self.name), "domain.name", "a name of at least one letter", self.name)
+        require(self.focal_px is None or 0 < self.focal_px < math.inf, "domain.focal_px",
+                "a finite number of pixels > 0, or None", self.focal_px)  # fmt: skip
         if not 0 < self.min_depth < self.max_depth:
             raise InputError(
                 f"domain {self.name!r} has a min_depth of {self.min_depth} and a max_depth of {self.max_depth}. "
@@ -127,8 +134,17 @@ class _PhotoConfig(ABC):
     pad: bool = True
     """True: unless the caller says otherwise, borders of photos are reflected outwards before the network, and cut off
     after it (released ``infer``). The photo then fills less of the input; a model must be used to it."""
+    canonical_camera: bool = False
+    """True: while training, depth was scaled to one camera, by ``focal_px`` of the domain / focal length of the photo,
+    so that a lens changes nothing; predicted depth is scaled back by the focal length of the photo, where it is known
+    (Metric3D, section 3.1). False: as published, metres hold for the lenses that the model was trained with."""
 
     def __post_init__(self) -> None:
+        if self.canonical_camera and (without := [domain.name for domain in self.domains if domain.focal_px is None]):
+            raise InputError(
+                f"canonical_camera needs the focal length of the one camera in each domain, and {without} have none. "
+                "Set focal_px of these domains, in pixels of the network's input"
+            )
         names = [domain.name for domain in self.domains]
         require(len(set(names)) == len(names), "the names of domains", "all different", names)
         require(all(0 < side <= MAX_SIDE and side % self.multiple == 0 for side in self.size), "size",

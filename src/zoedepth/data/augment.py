@@ -5,7 +5,7 @@ stays the one that the camera would have measured.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from zoedepth.data.sample import Sample
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
+from zoedepth.pixels import reflect_pad
+from zoedepth.sizes import network_focal
 
 Augmentation = Callable[[Sample, np.random.Generator], Sample]
 
@@ -29,6 +33,7 @@ def augment(sample: Sample, augmentations: Sequence[Augmentation], rng: np.rando
 def fit_crop(
     size: tuple[int, int],
     *,
+    min_zoom: float = 1.0,
     max_zoom: float = 1.0,
     probability: float = 1.0,
     scale_depth: bool = True,
@@ -38,21 +43,32 @@ def fit_crop(
 
     Without zoom the window is the largest that fits: the network sees it at the scale at which it would see the whole
     photo. A zoom by z takes a window z times smaller, at a place drawn uniformly. For a camera of the same focal
-    length that is a scene z times nearer, so depth is divided by z.
+    length that is a scene z times nearer, so depth is divided by z. Where z is below 1 the photo does not fill the
+    window: it is in the middle, its borders are reflected outwards, and depth is unknown there.
 
     Args:
         size: (height, width) of the result.
-        max_zoom: the largest z; z is drawn log-uniformly from 1 to it.
+        min_zoom: the smallest z, from 0.5 to 1; z is drawn log-uniformly between the two.
+        max_zoom: the largest z, at least 1.
         probability: share of the samples that are zoomed; the others have z = 1.
         scale_depth: divide depth by z. False makes the zoom a change of focal length instead.
         sparse: depth is known at scattered points, which are all kept: see ``gather_points``.
+
+    Raises:
+        InputError: the zooms are out of range.
     """
+    if not 0.5 <= min_zoom <= 1 <= max_zoom < math.inf:
+        raise InputError(f"min_zoom must be from 0.5 to 1 and max_zoom at least 1; they are {min_zoom} and {max_zoom}")
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
-        zoomed = max_zoom > 1 and rng.random() < probability
-        zoom = math.exp(rng.uniform(0, math.log(max_zoom))) if zoomed else 1.0
+        zoomed = min_zoom < max_zoom and rng.random() < probability
+        zoom = math.exp(rng.uniform(math.log(min_zoom), math.log(max_zoom))) if zoomed else 1.0
         height, width = sample.image.shape[-2:]
         scale = max(size[0] / height, size[1] / width) * zoom
+        if zoom < 1:
+            wanted = (round(size[0] / scale), round(size[1] / scale))
+            sample = _framed(sample, max(0, wanted[0] - height + 1) // 2, max(0, wanted[1] - width + 1) // 2)
+            height, width = sample.image.shape[-2:]
         window = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
         top, left = int(rng.integers(0, height - window[0] + 1)), int(rng.integers(0, width - window[1] + 1))
         return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0, sparse)
@@ -154,6 +170,62 @@ def jitter_colors(
     return apply
 
 
+def assume_camera(focal_px: float) -> Augmentation:
+    """Give a photo without a camera one with square pixels that looks through its middle.
+
+    Args:
+        focal_px: focal length in pixels of the photo as it is.
+    """
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        if sample.camera is not None:
+            return sample
+        height, width = sample.image.shape[-2:]
+        return replace(sample, camera=Intrinsics(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2))
+
+    return apply
+
+
+def canonical_camera(focal_px: Mapping[str, float], *, data: str, assume: bool = False) -> Augmentation:
+    """Scale depth to the one camera of its domain: by the focal length there / that of the photo (Metric3D, eq. 1).
+
+    It belongs behind all that changes the size of the photo. A zoom is then a change of the lens, whether or not it
+    changed the depth. Disparity stays.
+
+    Args:
+        focal_px: domain → focal length of its one camera, pixels of the photo at its present size. Where there is one
+            domain only, it takes all photos.
+        data: name of the data set, for the error.
+        assume: a photo without a camera is taken to come from the one camera; its depth stays.
+
+    Raises:
+        InputError: when it is applied to a photo without a camera, unless ``assume`` is True.
+    """
+
+    def apply(sample: Sample, rng: np.random.Generator) -> Sample:
+        if sample.kind == "disparity" or (sample.camera is None and assume):
+            return sample
+        camera = sample.camera
+        if camera is None:
+            raise InputError(no_camera(data, sample.name))
+        wanted = focal_px[sample.domain] if len(focal_px) > 1 else next(iter(focal_px.values()))
+        size = (sample.image.shape[-2], sample.image.shape[-1])
+        factor = wanted / network_focal((camera.fx, camera.fy), size, size)
+        camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+        return replace(sample, target=sample.target * factor, camera=camera)
+
+    return apply
+
+
+def no_camera(data: str, name: str) -> str:
+    """Return the message for a photo without a camera in a training that needs to know it."""
+    return (
+        f"{data} says no camera for {name}, and this model learns metres in one canonical camera. Give fx, fy, cx, cy "
+        "in the list or in dataset.json, or focal_px of the source, in pixels of its photos; if nobody knows it, set "
+        "without_camera of the source to 'assume': such photos are then taken to come from the canonical camera"
+    )
+
+
 def limit_depth(min_depth: float, max_depth: float) -> Augmentation:
     """Make depth at or beyond these bounds (metres) unknown. Disparity stays."""
 
@@ -183,6 +255,18 @@ def to_disparity() -> Augmentation:
 def _map(sample: Sample, change: Callable[[torch.Tensor], torch.Tensor]) -> Sample:
     """Change the pixel grid of photo, target and mask alike."""
     return replace(sample, image=change(sample.image), target=change(sample.target), mask=change(sample.mask))
+
+
+def _framed(sample: Sample, vertical: int, horizontal: int) -> Sample:
+    """Reflect the photo's borders outwards by so many rows and columns on each side; no depth is known there."""
+    around = (horizontal, horizontal, vertical, vertical)
+    return replace(
+        sample,
+        image=reflect_pad(sample.image[None], vertical, horizontal)[0],
+        target=F.pad(sample.target, around),
+        mask=F.pad(sample.mask, around),
+        camera=sample.camera and sample.camera.cropped(-vertical, -horizontal),
+    )
 
 
 def _resized_window(

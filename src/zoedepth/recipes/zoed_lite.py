@@ -21,6 +21,15 @@ _OUTDOOR = replace(_INDOOR, name="outdoor", weight=1, kitti_crop=True, max_zoom=
 _SYNTHETIC = replace(_INDOOR, name="synthetic", weight=3)
 
 
+CANONICAL = replace(
+    ZOED_LITE,
+    canonical_camera=True,
+    # Scaled to the camera of NYU or KITTI, what a wide lens sees is farther than these sets reach.
+    domains=tuple(replace(domain, max_depth=2 * domain.max_depth) for domain in ZOED_LITE.domains),
+)
+"""``zoed-lite`` in one canonical camera: data of any lens teach it, and any lens is right where it is known."""
+
+
 def relative() -> TrainConfig:
     """Return the recipe of stage 1: from ImageNet weights, on depth and disparity together.
 
@@ -57,4 +66,30 @@ def metric() -> TrainConfig:
         optim=OptimConfig(learning_rate=8e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0),
         domain_weight=1.0,
         ema_decay=0.99,
+    )
+
+
+def canonical_relative() -> TrainConfig:
+    """Return the recipe of stage 1 for the canonical camera. Disparity has no scale, so it needs no cameras.
+
+    ``zoedepth train zoed_lite_canonical_relative --data indoor=nyu outdoor=kitti relative=relative
+    synthetic="synthetic:all?fov=35-100" --out runs/relative --init imagenet``. Not run.
+    """
+    return replace(relative(), model=CANONICAL)
+
+
+def canonical_metric() -> TrainConfig:
+    """Return the recipe of stage 2 in the canonical camera: a wider zoom, since it stands for a change of the lens.
+
+    ``zoedepth train zoed_lite_canonical --data indoor=nyu outdoor=kitti synthetic="synthetic:all?fov=35-100" --out
+    runs/lite --init runs/relative/step_000250``. Not run.
+    """
+    return replace(
+        metric(),
+        model=CANONICAL,
+        sources=(
+            replace(_INDOOR, max_zoom=2.0, zoom_probability=0.5),
+            replace(_OUTDOOR, max_zoom=1.5, zoom_probability=0.5),
+            _SYNTHETIC,
+        ),
     )

@@ -1,5 +1,6 @@
 """Rendered rooms and streets with exact depth: a data set that needs no files."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -33,9 +34,13 @@ class SyntheticScenes(Dataset[Sample]):
         seed: chooses all scenes, cameras and photos.
         domains: "indoor" for rooms, "outdoor" for streets. They take turns: sample i has domain i modulo their
             number.
+        fields_of_view: narrowest and widest lens, degrees across the picture's width. The focal length is drawn
+            log-uniformly between theirs. None leaves the lenses to the scenes: 45 to 90 degrees, rooms most often near
+            63.
 
     Raises:
-        InputError: a domain is unknown, the size is below 32 pixels, ``n`` below 1 or ``seed`` below 0.
+        InputError: a domain is unknown, the size is below 32 pixels, ``n`` below 1 or ``seed`` below 0, or fields of
+            view are not between 10 and 130 degrees.
     """
 
     def __init__(
@@ -45,6 +50,7 @@ class SyntheticScenes(Dataset[Sample]):
         size: tuple[int, int] = (288, 384),
         seed: int = 0,
         domains: Sequence[str] = ("indoor", "outdoor"),
+        fields_of_view: tuple[float, float] | None = None,
     ) -> None:
         if not domains or set(domains) - set(_BUILDERS):
             raise InputError(f"synthetic scenes have no domains {list(domains)}. Choose from {list(_BUILDERS)}.")
@@ -53,10 +59,15 @@ class SyntheticScenes(Dataset[Sample]):
                 f"cannot render synthetic scenes with n={n}, seed={seed}, size={size}. "
                 "Use n >= 1, seed >= 0 and at least 32 pixels each way."
             )
+        if fields_of_view is not None and not 10 <= fields_of_view[0] <= fields_of_view[1] <= 130:
+            raise InputError(
+                f"fields of view must be two numbers from 10 to 130 degrees, the smaller first; got {fields_of_view}"
+            )
         self.n = n
         self.size = size
         self.seed = seed
         self._domains = tuple(domains)
+        self._fields_of_view = fields_of_view
 
     def __len__(self) -> int:
         return self.n
@@ -70,7 +81,8 @@ class SyntheticScenes(Dataset[Sample]):
         if not 0 <= index < self.n:
             raise IndexError(index)
         domain = self._domains[index % len(self._domains)]
-        photo, depth, camera = make_picture(domain, self.size, np.random.default_rng((self.seed, index)))
+        rng = np.random.default_rng((self.seed, index))
+        photo, depth, camera = make_picture(domain, self.size, rng, fields_of_view=self._fields_of_view)
         return Sample(
             image=torch.from_numpy(photo).permute(2, 0, 1).float() / 255,
             target=torch.from_numpy(depth)[None],
@@ -93,18 +105,31 @@ class SyntheticScenes(Dataset[Sample]):
 
 
 def make_picture(
-    domain: str, size: tuple[int, int], rng: np.random.Generator
+    domain: str,
+    size: tuple[int, int],
+    rng: np.random.Generator,
+    *,
+    fields_of_view: tuple[float, float] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, Intrinsics]:
     """Draw a scene from ``rng`` and take a picture of it: (uint8 photo, float32 depth in metres or 0, camera)."""
     while True:
         place = _BUILDERS[domain](rng)
         poses = [place.draw_pose(rng) for _ in range(_ATTEMPTS)]
+        if fields_of_view is not None:
+            lens = _draw_lens(fields_of_view, rng)  # one for all poses: a check of the view must not prefer narrow ones
+            poses = [pose._replace(field_of_view=lens) for pose in poses]
         arrays = place.scene.arrays(poses[0].position)
         tracer = Tracer(arrays)
         view = _best_view(domain, poses, size, arrays, tracer, rng)
         if view is not None:
             picture = render(place.scene, arrays, tracer, view, rng)
             return photograph(picture.color, rng), picture.depth, view.camera
+
+
+def _draw_lens(fields_of_view: tuple[float, float], rng: np.random.Generator) -> float:
+    """Draw a field of view in radians whose focal length is log-uniform between those of two fields in degrees."""
+    narrow, wide = (math.log(math.tan(math.radians(degrees) / 2)) for degrees in fields_of_view)
+    return 2 * math.atan(math.exp(rng.uniform(narrow, wide)))
 
 
 def _best_view(

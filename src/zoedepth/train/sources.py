@@ -14,7 +14,7 @@ from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.opening import open_dataset
 from zoedepth.train.config import SourceConfig, TrainConfig
-from zoedepth.train.tolerant import Tolerant, explained, too_many
+from zoedepth.train.tolerant import Tolerant, explained, readable, too_many
 
 
 class _Mapped(Dataset[Sample], DepthDataset):
@@ -59,6 +59,8 @@ def load_sources(
                 f"{data[name]} has photos of {sorted(others)}, but the model has heads for {sorted(domains)} only: "
                 "rename the domains of the data, or add a head"
             )
+        if config.stage == "metric" and config.model.canonical_camera:
+            _check_cameras(known[name], dataset)
         n_training = len(dataset) - config.holdout
         if n_training < 1:
             raise InputError(
@@ -86,6 +88,7 @@ def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
         domain=source.domain,
         depth_scale=source.depth_scale,
         max_depth=source.max_depth,
+        root=source.root,
     )
     return cast(_Mapped, found)
 
@@ -93,11 +96,13 @@ def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
 def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
     """Return the augmentations of a source's samples, in order."""
     domains = config.model.domains
-    steps = [augment.kitti_crop()] if source.kitti_crop else []
+    steps = [augment.assume_camera(source.focal_px)] if source.focal_px is not None else []
+    steps += [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
         steps.append(
             augment.fit_crop(
                 config.model.size,
+                min_zoom=source.min_zoom,
                 max_zoom=source.max_zoom,
                 probability=source.zoom_probability,
                 sparse=source.sparse,
@@ -121,9 +126,22 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
         # No limit on the depth: infinitely far is disparity 0, so the sky teaches too.
         steps.append(augment.to_disparity())
     else:
+        focal_px = {domain.name: domain.focal_px for domain in domains if domain.focal_px is not None}
+        if config.model.canonical_camera:
+            assume = source.without_camera == "assume"
+            steps.append(augment.canonical_camera(focal_px, data=source.name, assume=assume))
         ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
         steps.append(partial(_limit_by_domain, ranges=ranges))
     return steps
+
+
+def _check_cameras(source: SourceConfig, dataset: DepthDataset) -> None:
+    """Check the first photo that can be read: is its camera known? The others are checked when they are read."""
+    if source.focal_px is not None or source.without_camera == "assume":
+        return
+    first = next(iter(readable(dataset)), None)
+    if first is not None and first.camera is None:
+        raise InputError(augment.no_camera(source.name, first.name))
 
 
 def _limit_by_domain(sample: Sample, rng: np.random.Generator, *, ranges: dict[str, tuple[float, float]]) -> Sample:
