@@ -186,6 +186,9 @@ class TestInterface:
         x = torch.rand(1, 3, 64, 96)
         mean, std = (torch.tensor(v)[:, None, None] for v in ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225)))
         interface = OriginalInterface(model)
+        for wrong in ((x - mean) / std, x * 255):
+            with pytest.raises(InputError, match=r"pixels .* in \[0, 1\]"):
+                interface(wrong)
         with torch.no_grad():
             torch.testing.assert_close(
                 interface((x - mean) / std, denorm=True)["metric_depth"], interface(x)["metric_depth"]

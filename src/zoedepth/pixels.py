@@ -5,6 +5,27 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
+from zoedepth.errors import InputError
+
+_MAX_OVERSHOOT = 0.5  # beyond [0, 1]: resizing leads to less, pixels that are normalised or in 0..255 have more
+
+
+def check_pixels(pixels: Tensor) -> None:
+    """Check that a tensor holds photos, as their pixels are.
+
+    Raises:
+        InputError: it is not float (batch, 3, height, width), it is empty, or its values are not in [0, 1].
+    """
+    if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point() or 0 in pixels.shape:
+        shape = tuple(pixels.shape)
+        raise InputError(f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {shape}")
+    low, high = (float(value) for value in pixels.detach().aminmax())
+    if not (low > -_MAX_OVERSHOOT and high < 1 + _MAX_OVERSHOOT):  # also when one of them is not a number
+        raise InputError(
+            f"pixels are in [{low:.4g}, {high:.4g}] and must be RGB in [0, 1]: divide 8 bits by 255, and leave out "
+            "ImageNet's mean and deviation, which the model applies itself"
+        )
+
 
 def resize_pixels(
     pixels: Float[Tensor, "batch 3 _ _"], size: tuple[int, int], *, antialias: bool

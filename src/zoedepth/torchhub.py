@@ -17,7 +17,7 @@ from zoedepth.download import download
 from zoedepth.errors import InputError
 from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI, to_image
 from zoedepth.model.interface import DepthModel
-from zoedepth.pixels import resize_pixels
+from zoedepth.pixels import check_pixels, resize_pixels
 from zoedepth.predict import Predictor
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
 from zoedepth.weights.load import load_model
@@ -73,10 +73,14 @@ class OriginalInterface(nn.Module):
         Returns:
             ``metric_depth`` (batch, 1, h, w), metres; ``rel_depth`` (batch, 1, h, w), relative inverse depth;
             ``domain_logits`` (batch, 2) if there are two heads.
+
+        Raises:
+            InputError: wrong shape, type or range: normalised pixels need ``denorm``.
         """
         if denorm:
             mean, std = (x.new_tensor(values)[:, None, None] for values in (IMAGENET_MEAN, IMAGENET_STD))
             x = x * std + mean
+        check_pixels(x)
         size = Predictor(self.model, pad=False).network_size((x.shape[2], x.shape[3]))
         bins = return_final_centers or return_probs
         output = self.model(resize_pixels(x, size, antialias=self.model.config.antialias), return_bins=bins)
