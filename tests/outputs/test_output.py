@@ -1,34 +1,44 @@
 """Rules for every kind of file. A new kind is in ``OUTPUTS`` and inherits these tests."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from zoedepth.errors import InputError
-from zoedepth.outputs import OUTPUTS, Maps, Options, Output, write_maps
+from zoedepth.geometry.camera import Camera
+from zoedepth.images import read_image
+from zoedepth.outputs import OUTPUTS, Maps, Options, Output, output_names, write_maps
 
 RAMP = np.linspace(1, 5, 12, dtype=np.float32).reshape(3, 4)
 IMAGE = np.full((3, 4, 3), 200, np.uint8)
 ALL = {"depth": RAMP, "relative": 1 / RAMP}
+CAMERA = Camera.from_focal(4.0, (3, 4))
+NO_OPENEXR = pytest.mark.skipif(find_spec("OpenEXR") is None, reason="OpenEXR is not installed")
+EVERY = pytest.mark.parametrize(
+    "output",
+    [pytest.param(output, id=name, marks=NO_OPENEXR if name == "exr" else ()) for name, output in OUTPUTS.items()],
+)
 
 
 def files(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-@pytest.mark.parametrize("output", OUTPUTS.values(), ids=OUTPUTS)
+@EVERY
 class TestEveryOutput:
     def test_writes_one_file_of_each_map_it_can_be_made_of(self, output: Output, tmp_path: Path) -> None:
         for name in output.maps:
             path = tmp_path / name / f"photo{output.ending}"
-            output.write(path, Maps(**{name: ALL[name]}, image=IMAGE), Options())
+            output.write(path, Maps(**{name: ALL[name]}, image=IMAGE, camera=CAMERA), Options())
             assert files(path.parent) == [path.name]
             assert path.stat().st_size > 0
 
     def test_refuses_what_it_cannot_be_made_of_and_leaves_nothing(self, output: Output, tmp_path: Path) -> None:
         for name in ALL.keys() - set(output.maps) | {None}:
-            maps = Maps(**({name: ALL[name]} if name else {}), image=IMAGE)
+            maps = Maps(**({name: ALL[name]} if name else {}), image=IMAGE, camera=CAMERA)
             with pytest.raises(InputError):
                 output.write(tmp_path / f"photo{output.ending}", maps, Options())
         assert files(tmp_path) == []
@@ -43,15 +53,17 @@ class TestEveryOutput:
 
 
 def test_the_suffix_chooses_the_output(tmp_path: Path) -> None:
-    maps = Maps(depth=RAMP, image=IMAGE)
-    for output in OUTPUTS.values():
+    maps = Maps(depth=RAMP, image=IMAGE, camera=CAMERA)
+    for name, output in OUTPUTS.items():
+        if name == "exr" and find_spec("OpenEXR") is None:
+            continue
         for suffix in output.suffixes:
             output.write(tmp_path / f"expected{suffix}", maps, Options())
             write_maps(tmp_path / f"found{suffix.upper()}", maps)
             found, expected = tmp_path / f"found{suffix.upper()}", tmp_path / f"expected{suffix}"
             assert found.read_bytes() == expected.read_bytes()
-    with pytest.raises(InputError, match=r"depth\.tiff.*\.png, .*\.npz"):
-        write_maps(tmp_path / "depth.tiff", maps)
+    with pytest.raises(InputError, match=r"depth\.txt.*\.png, .*\.glb"):
+        write_maps(tmp_path / "depth.txt", maps)
 
 
 def test_maps_must_fit_together() -> None:
@@ -68,8 +80,46 @@ def test_confidence_is_that_of_the_standard_deviation() -> None:
 
 
 @pytest.mark.parametrize(
-    "options", [{"png_scale": 0.0}, {"png_scale": np.nan}, {"vmin": 5.0, "vmax": 1.0}, {"colormap": "jet"}]
+    ("words", "map", "names"),
+    [
+        (["depth", "preview"], "depth", ("depth", "preview")),
+        (["png,exr, glb"], "depth", ("depth", "exr", "glb")),
+        (["depth,npy", "npy", ".PNG"], "depth", ("depth", "npy")),
+        (["tif", "jpg", "webp"], "depth", ("tiff", "preview")),
+        (["png", "color", "npz"], "relative", ("relative", "color", "npz")),
+        ([], "depth", ()),
+    ],
+)
+def test_outputs_are_named_by_word_or_suffix_with_or_without_commas(
+    words: list[str], map: str, names: tuple[str, ...]
+) -> None:
+    assert output_names(words, map=map) == names
+
+
+def test_output_that_does_not_exist_is_told_with_those_that_do() -> None:
+    with pytest.raises(InputError, match="no output 'preveiw': did you mean preview"):
+        output_names(["depth,preveiw"])
+
+
+@EVERY
+def test_notes_of_the_photo_go_into_no_file(output: Output, tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x010E] = "SECRET"  # description of the picture
+    exif.get_ifd(0x8825).update({1: "N", 2: (48.0, 12.0, 30.0), 29: "2001:02:03"})  # GPS
+    Image.fromarray(IMAGE).save(tmp_path / "photo.jpg", exif=exif)
+    assert b"SECRET" in (tmp_path / "photo.jpg").read_bytes()
+    maps = {name: ALL[name] for name in output.maps}
+    output.write(
+        tmp_path / f"a{output.ending}", Maps(**maps, image=read_image(tmp_path / "photo.jpg"), camera=CAMERA), Options()
+    )
+    content = (tmp_path / f"a{output.ending}").read_bytes()
+    assert not [note for note in (b"SECRET", b"2001:02:03") if note in content]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"max_triangles": 0}, {"png_scale": 0.0}, {"png_scale": np.nan}, {"vmin": 5.0, "vmax": 1.0}, {"colormap": "jet"}],
 )
 def test_wrong_options_are_found_before_anything_is_written(options: dict) -> None:
-    with pytest.raises(InputError, match=r"scale|vmin|jet"):
+    with pytest.raises(InputError, match=r"scale|vmin|jet|triangle"):
         Options(**options)

@@ -6,6 +6,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from zoedepth.geometry.points import known_depth
 from zoedepth.images import PNG_MAX, PNG_SCALE_KITTI, PNG_SCALE_MILLIMETRE, atomic_path
 from zoedepth.outputs.output import Maps, Options, Output, Written, check_map, check_png_scale, needed
 from zoedepth.stored import SCALE_KEY
@@ -56,8 +57,11 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     notes = []
     if options.png_scale is None and scale != PNG_SCALE_MILLIMETRE:
         notes.append("beyond 65.535 m: the PNG has 256 levels per metre, not 1000")
-    if depth.max() * scale > PNG_MAX:
+    levels = depth[known_depth(depth)].astype(np.float64) * scale
+    if levels.size and np.rint(levels.max()) > PNG_MAX:
         notes.append("clipped: too far for the scale of the PNG; a smaller --png-scale (scale=) fits more")
+    if levels.size and np.rint(levels.min()) < 1:
+        notes.append("clipped: too near for the scale of the PNG; a larger --png-scale (scale=), or an EXR, tells it")
     return Written({"png_scale": scale}, tuple(notes))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool
@@ -12,6 +13,7 @@ from zoedepth.colors import colorize
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.jumps import flying_pixels
+from zoedepth.geometry.points import known_depth
 from zoedepth.images import DepthArray, ImageArray
 
 ValidArray = Bool[np.ndarray, "_height _width"]
@@ -86,8 +88,14 @@ class Options:
     """Depth of the preview's last colour in metres; None takes it from each photo."""
     colormap: str = "magma_r"
     """Colours of the preview, see ``colors.colorize``."""
+    max_triangles: int | None = 1_000_000
+    """Triangles of a mesh, at most: a GLB of a million takes about 35 MB with the photo. None keeps all."""
 
     def __post_init__(self) -> None:
+        if self.max_triangles is not None and self.max_triangles < 1:
+            raise InputError(
+                f"a mesh has at least 1 triangle (--max-triangles, max_triangles=), got {self.max_triangles}"
+            )
         if self.png_scale is not None:
             check_png_scale(self.png_scale)
         colorize(np.ones((1, 1)), vmin=self.vmin, vmax=self.vmax, colormap=self.colormap)
@@ -131,8 +139,16 @@ def check_map(values: np.ndarray, name: str = "depth") -> np.ndarray:
     return values
 
 
-def needed(maps: Maps, name: str) -> np.ndarray:
-    """Return the map (or the image) called ``name``.
+def known_or_zero(depth: np.ndarray) -> np.ndarray:
+    """Return metres in float32, in one piece of memory, with 0 where there is no depth: no finite number above 0."""
+    with np.errstate(over="ignore"):  # float64 beyond float32 is as unknown as infinity
+        depth = np.ascontiguousarray(depth, np.float32)
+    known = known_depth(depth)
+    return depth if known.all() else np.where(known, depth, np.float32(0))
+
+
+def needed(maps: Maps, name: str) -> Any:
+    """Return the map, the image or the camera called ``name``.
 
     Raises:
         InputError: there is none.

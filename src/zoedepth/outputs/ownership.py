@@ -6,16 +6,16 @@ from zoedepth.images import OWN_MARK
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.stored import SCALE_KEY, readable
 
-# Pictures have it in their EXIF, depth maps in a chunk of text.
+# Pictures have it in their EXIF, PNGs of depth in a chunk of text, other files in their headers.
 _MARKS = tuple(mark.encode() for mark in (OWN_MARK, f"tEXt{SCALE_KEY}\0", "tEXtRelativeMin\0"))
-_HEAD = 512  # bytes; WebP has its texts at the end
+_HEAD = 1024  # bytes; WebP has its texts at the end
 
 
 def is_own_file(file: Path) -> bool:
     """Return True if this package wrote the file.
 
-    Depth maps as PNG, and pictures, say it in their first bytes, and sidecars by what they hold. Arrays are known by
-    the sidecar that lists them, and so are the previews of older versions.
+    Most say it in their first bytes, and sidecars by what they hold. Arrays and PFMs, which have no room for it, are
+    known by the sidecar that lists them, and so are the previews of older versions.
     """
     if file.suffix.lower() == sidecars.ENDING:
         return sidecars.read_sidecar(file) is not None
@@ -23,7 +23,7 @@ def is_own_file(file: Path) -> bool:
 
 
 def has_own_mark(file: Path) -> bool:
-    """Return True if the file says in its first or last bytes that it is a depth map or a picture of this package."""
+    """Return True if the file says in its first or last bytes that this package wrote it."""
     if not file.is_file():
         return False
     try:

@@ -1,0 +1,151 @@
+"""The surface of a photo as a GLB: a mesh at its true size, with the photo on it.
+
+The file is put together here and not by trimesh, which stores a photo as PNG (five times as large) or as JPEG at
+quality 75, and has no material that shows a photo in its own light.
+"""
+
+import json
+import math
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.mesh import Mesh, build_mesh
+from zoedepth.images import OWN_MARK, ImageArray, atomic_path
+from zoedepth.outputs.output import Maps, Options, Output, Written, needed
+
+MAX_TEXTURE = 4096
+"""The longest side of the photo on a mesh, in pixels: what phones and browsers can show."""
+
+_GLTF_AXES = np.array([1, -1, -1], np.float32)  # half a turn about x: from y down, z forward to y up, z backward
+_QUALITY = 90
+# Numbers of the standard (glTF 2.0): types of numbers, kinds of buffers, filters and edges of textures.
+_UINT32, _FLOAT32, _VERTICES, _INDICES = 5125, 5126, 34962, 34963
+_LINEAR, _LINEAR_MIPMAP, _CLAMP = 9729, 9987, 33071
+
+
+def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) -> None:
+    """Write a mesh as a binary glTF 2.0: metres, x to the right, y up, the camera at the origin, looking along -z.
+
+    The photo is a texture that shows in its own light (KHR_materials_unlit), with normals for programs that light it
+    nevertheless. The camera is in the file, too, so that a program can look at the mesh as the photo does.
+
+    Args:
+        path: where to write; missing folders are made.
+        mesh: triangles in OpenCV's axes.
+        image: the photo, RGB, of any size: the texture; reduced to ``MAX_TEXTURE`` pixels where it is larger.
+
+    Raises:
+        InputError: the mesh has no triangle.
+    """
+    if not len(mesh.faces):
+        raise InputError("the depth makes no surface, for no two neighbouring pixels see the same one: save its points")
+    vertices = mesh.vertices * _GLTF_AXES
+    arrays = {
+        "indices": mesh.faces.astype("<u4").reshape(-1),
+        "POSITION": vertices.astype("<f4"),
+        "NORMAL": (mesh.normals * _GLTF_AXES).astype("<f4"),
+        "TEXCOORD_0": mesh.uv.astype("<f4"),
+    }
+    parts = [np.ascontiguousarray(values).tobytes() for values in arrays.values()]
+    if image is not None:
+        parts.append(_jpeg(image))
+    views, place = [], 0
+    for number, part in enumerate(parts):
+        target = {} if number >= len(arrays) else {"target": _VERTICES if number else _INDICES}
+        views.append({"buffer": 0, "byteOffset": place, "byteLength": len(part), **target})
+        place += _padded(len(part))
+    accessors = [
+        {
+            "bufferView": number,
+            "componentType": _FLOAT32 if values.ndim > 1 else _UINT32,
+            "count": len(values),
+            "type": f"VEC{values.shape[1]}" if values.ndim > 1 else "SCALAR",
+        }
+        for number, values in enumerate(arrays.values())
+    ]
+    accessors[1] |= {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    document = {
+        "asset": {"generator": OWN_MARK, "version": "2.0", "extras": _about(mesh.camera)},
+        "scene": 0,
+        "scenes": [{"nodes": [0, 1]}],
+        "nodes": [{"name": "surface", "mesh": 0}, {"name": "camera of the photo", "camera": 0}],
+        "cameras": [_camera(mesh.camera)],
+        "meshes": [{"name": "surface", "primitives": [_primitive(list(arrays)[1:])]}],
+        "materials": [_material(textured=image is not None)],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": place}],
+    }
+    if image is not None:
+        document |= {
+            "extensionsUsed": ["KHR_materials_unlit"],
+            "images": [{"bufferView": len(arrays), "mimeType": "image/jpeg"}],
+            "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP, "wrapS": _CLAMP, "wrapT": _CLAMP}],
+            "textures": [{"source": 0, "sampler": 0}],
+        }
+    text = json.dumps(document, separators=(",", ":")).encode("ascii")
+    text += b" " * (_padded(len(text)) - len(text))
+    total = 12 + 8 + len(text) + 8 + place
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        file.write(b"glTF" + np.array([2, total, len(text)], "<u4").tobytes() + b"JSON" + text)
+        file.write(np.array([place], "<u4").tobytes() + b"BIN\0")
+        for part in parts:
+            file.write(part + bytes(_padded(len(part)) - len(part)))
+
+
+def _padded(n_bytes: int) -> int:
+    """Return the next multiple of 4, at which every part of the file must begin."""
+    return n_bytes + -n_bytes % 4
+
+
+def _primitive(names: list[str]) -> dict[str, object]:
+    attributes = {name: number for number, name in enumerate(names, start=1)}
+    return {"attributes": attributes, "indices": 0, "material": 0}
+
+
+def _material(*, textured: bool) -> dict[str, object]:
+    surface: dict[str, object] = {"metallicFactor": 0, "roughnessFactor": 1}
+    if textured:
+        surface["baseColorTexture"] = {"index": 0}
+    lighting = {"extensions": {"KHR_materials_unlit": {}}} if textured else {}
+    return {"name": "photo", "pbrMetallicRoughness": surface, "doubleSided": True, **lighting}
+
+
+def _camera(camera: Camera) -> dict[str, object]:
+    """Return a camera that sees as much as the photo. In glTF it looks through the middle of the picture."""
+    height, width = camera.size
+    view = {
+        "yfov": 2 * math.atan(height / 2 / camera.fy),
+        "aspectRatio": width / camera.fx / (height / camera.fy),
+        "znear": 0.01,
+    }
+    return {"type": "perspective", "perspective": view}
+
+
+def _about(camera: Camera) -> dict[str, object]:
+    """Return what glTF's camera cannot say."""
+    return {"intrinsics": camera.matrix.tolist(), "size": list(camera.size), "cameraSource": camera.source}
+
+
+def _jpeg(image: ImageArray) -> bytes:
+    picture = Image.fromarray(image)
+    picture.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.LANCZOS)
+    file = BytesIO()
+    picture.save(file, format="JPEG", quality=_QUALITY)
+    return file.getvalue()
+
+
+def _write(path: Path, maps: Maps, options: Options) -> Written:
+    mesh = build_mesh(
+        needed(maps, "depth"), needed(maps, "camera"), valid=maps.valid, max_triangles=options.max_triangles
+    )
+    write_glb(path, mesh, image=maps.image)
+    return Written({"triangles": len(mesh.faces)})
+
+
+GLB = Output(".glb", "the surface as a mesh with the photo on it", _write, suffixes=(".glb",))
