@@ -265,18 +265,18 @@ class TestTimes:
             False, True, False, False,
         ]  # fmt: skip
 
-    def test_none_near_enough_is_an_error(self, tmp_path: Path) -> None:
-        photo(tmp_path / "rgb" / "100.5.png")
-        depth(tmp_path / "depth" / "200.5.png")
+    @pytest.mark.parametrize(
+        ("of_photo", "of_depth", "message"),
+        [
+            pytest.param("100.5", "200.5", r"are times, and no two are within 0\.02 s", id="none-near-enough"),
+            pytest.param("000001", "000002", "Names must agree", id="numbers-of-frames-are-no-times"),
+        ],
+    )
+    def test_others_are_an_error(self, tmp_path: Path, of_photo: str, of_depth: str, message: str) -> None:
+        photo(tmp_path / "rgb" / f"{of_photo}.png")
+        depth(tmp_path / "depth" / f"{of_depth}.png")
         say(tmp_path)
-        with pytest.raises(InputError, match=r"are times, and no two are within 0\.02 s"):
-            PairDataset(tmp_path)
-
-    def test_numbers_of_frames_are_no_times(self, tmp_path: Path) -> None:
-        photo(tmp_path / "rgb" / "000001.png")
-        depth(tmp_path / "depth" / "000002.png")
-        say(tmp_path)
-        with pytest.raises(InputError, match=r"Names must agree"):
+        with pytest.raises(InputError, match=message):
             PairDataset(tmp_path)
 
 

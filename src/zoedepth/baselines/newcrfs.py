@@ -1,6 +1,5 @@
 """NeWCRFs as its authors built it (Yuan et al. 2022; NeWCRFs ``NewCRFDepth.py``, ``swin_transformer.py``)."""
 
-import functools
 from typing import Any
 
 from jaxtyping import Float
@@ -17,7 +16,7 @@ from zoedepth.model.heads.newcrfs import (
     pad_to_windows,
 )
 from zoedepth.model.heads.output import HeadOutput
-from zoedepth.model.timm_encoder import FeatureEncoder
+from zoedepth.model.timm_encoder import FeatureEncoder, specialised
 
 _SWIN = {"strict_img_size": False, "always_partition": True, "drop_path_rate": 0.3}
 """Options that make timm's Swin the original's: it takes any size, shifts windows even where one holds the whole map,
@@ -69,25 +68,15 @@ class PyramidEncoder(FeatureEncoder):
         ]
 
 
-@functools.cache
-def _pad_first() -> type[Any]:
-    """Make the class of Swin blocks that pad before they shift. It derives from a class of timm."""
-    from timm.models.swin_transformer import SwinTransformerBlock
+class _PadFirst(nn.Module):
+    """The attention of timm's Swin block, which pads before it shifts."""
 
-    class PadFirst(SwinTransformerBlock):
-        def _attn(self, x: Float[Tensor, "batch rows columns channels"]) -> Tensor:
-            rows, columns = x.shape[1:3]
-            return super()._attn(pad_to_windows(x, self.window_size[0]))[:, :rows, :columns]
+    window_size: tuple[int, int]
 
-    PadFirst.__qualname__ = "PadFirst"
-    return PadFirst
-
-
-def __getattr__(name: str) -> type[nn.Module]:
-    """Let pickle find the class by its name, also in a process that has built no network yet."""
-    if name == "PadFirst":
-        return _pad_first()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    def _attn(self, x: Float[Tensor, "batch rows columns channels"]) -> Tensor:
+        rows, columns = x.shape[1:3]
+        block: Any = super()
+        return block._attn(pad_to_windows(x, self.window_size[0]))[:, :rows, :columns]
 
 
 def pad_before_shift(network: nn.Module) -> None:
@@ -100,4 +89,4 @@ def pad_before_shift(network: nn.Module) -> None:
 
     for block in network.modules():
         if isinstance(block, SwinTransformerBlock):
-            block.__class__ = _pad_first()
+            block.__class__ = specialised(_PadFirst, SwinTransformerBlock)

@@ -7,6 +7,7 @@ data set by their sizes and times.
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -29,14 +30,14 @@ def weights_fingerprint(path: Path) -> str:
     parts = {file, folder / CONFIG, folder / PREPROCESSOR}
     if file.suffix == ".xml":
         parts.add(file.with_suffix(".bin"))
-    return fingerprint([(part.name, _content(part)) for part in sorted(parts) if part.is_file()])
+    return fingerprint([(part.name, content(part)) for part in sorted(parts) if part.is_file()])
 
 
 def settings_fingerprint(source: str) -> str | None:
     """Return a hash of ``dataset.json`` in a folder of data or beside a list; None where there is no such file."""
     path = Path(source)
     settings = (path if path.is_dir() else path.parent) / DEFAULTS_FILE
-    return _content(settings) if settings.is_file() else None
+    return content(settings) if settings.is_file() else None
 
 
 def fingerprint(values: object) -> str:
@@ -49,15 +50,29 @@ def files_state(files: Iterable[Path]) -> list[tuple[str, int, int, int] | None]
 
     The time of the last change is not enough alone: archives and ``cp -p`` set it to what it was.
     """
-    return [_file_state(file) for file in sorted(files) if not file.is_dir()]
+    states = ((file, file_state(file)) for file in sorted(files) if not file.is_dir())
+    return [
+        None if found is None else (str(file), found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+        for file, found in states
+    ]
 
 
-def _file_state(file: Path) -> tuple[str, int, int, int] | None:
+def file_state(file: Path) -> os.stat_result | None:
+    """Return size and times of a file; None if it is not there, or if no file can have this name."""
     try:
-        found = file.stat()
+        return file.stat()
     except (OSError, ValueError):
         return None
-    return str(file), found.st_size, found.st_mtime_ns, found.st_ctime_ns
+
+
+def content(file: Path, *, first: int = 0) -> str:
+    """Return a hash of the bytes of a file, from byte ``first`` on."""
+    digest = hashlib.sha256()
+    with file.open("rb") as opened:
+        opened.seek(first)
+        while chunk := opened.read(1 << 20):
+            digest.update(chunk)
+    return digest.hexdigest()
 
 
 class Stamps:
@@ -96,11 +111,3 @@ class Stamps:
         """
         source = None if self._of_source is None else self._of_source(name)
         return fingerprint([data or self.of_data(index), name, source])
-
-
-def _content(file: Path) -> str:
-    digest = hashlib.sha256()
-    with file.open("rb") as opened:
-        while chunk := opened.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()

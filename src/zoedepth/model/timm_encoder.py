@@ -75,6 +75,30 @@ class FeatureEncoder(TimmEncoder):
         return [level.permute(0, 3, 1, 2) for level in maps] if self.channels_last else maps
 
 
+@functools.cache
+def specialised(behaviour: type, base: type) -> type[Any]:
+    """Make a class of ``behaviour`` before ``base``, for a class of timm, which is not imported before it is needed.
+
+    Pickle finds the class by these two, also in a process that has built no network yet.
+
+    Args:
+        behaviour: class with the methods that differ from those of ``base``.
+        base: the class whose methods they replace.
+    """
+
+    class Specialised(behaviour, base):
+        def __reduce_ex__(self, protocol: object) -> tuple[Any, ...]:
+            return _empty, (behaviour, base), self.__dict__
+
+    Specialised.__name__ = Specialised.__qualname__ = behaviour.__name__.lstrip("_")
+    return Specialised
+
+
+def _empty(behaviour: type, base: type) -> Any:
+    made: Any = specialised(behaviour, base)
+    return made.__new__(made)
+
+
 class _Float32Training(nn.Conv2d):
     """A convolution that trains in float32 under CPU autocast.
 
@@ -89,30 +113,11 @@ class _Float32Training(nn.Conv2d):
         return super().forward(input)
 
 
-@functools.cache
-def _float32_training_same() -> type[nn.Conv2d]:
-    """Make the class of such convolutions that pad as TensorFlow does. It derives from a class of timm."""
-    from timm.layers import Conv2dSame
-
-    class Float32TrainingSame(_Float32Training, Conv2dSame):
-        pass
-
-    Float32TrainingSame.__qualname__ = "Float32TrainingSame"
-    return Float32TrainingSame
-
-
-def __getattr__(name: str) -> type[nn.Conv2d]:
-    """Let pickle find the class by its name, also in a process that has built no network yet."""
-    if name == "Float32TrainingSame":
-        return _float32_training_same()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-
-
 def replace_depthwise(network: nn.Module) -> None:
     """Replace each depthwise convolution by one that trains in float32, with the same weights."""
     from timm.layers import Conv2dSame
 
-    twins = {nn.Conv2d: _Float32Training, Conv2dSame: _float32_training_same()}
+    twins = {nn.Conv2d: _Float32Training, Conv2dSame: specialised(_Float32Training, Conv2dSame)}
     for parent in list(network.modules()):
         for name, conv in parent.named_children():
             if isinstance(conv, nn.Conv2d) and type(conv) in twins and conv.groups == conv.in_channels > 1:

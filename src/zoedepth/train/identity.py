@@ -2,13 +2,13 @@
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import settings_fingerprint
+from zoedepth.evaluation.identity import content, file_state, settings_fingerprint
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.weights.hub import WEIGHTS
 from zoedepth.weights.load import find
@@ -52,25 +52,16 @@ def same_start(first: object, second: object) -> bool:
 
 def _weights(file: Path) -> str:
     """Return a hash of a file of weights; of safetensors without the header, in which texts may have changed."""
-    digest = hashlib.sha256()
-    with file.open("rb") as opened:
-        if file.suffix == ".safetensors":
-            opened.seek(8 + int.from_bytes(opened.read(8), "little"))
-        while chunk := opened.read(1 << 20):
-            digest.update(chunk)
-    return digest.hexdigest()[:16]
+    header = 0
+    if file.suffix == ".safetensors":
+        with file.open("rb") as opened:
+            header = 8 + int.from_bytes(opened.read(8), "little")
+    return content(file, first=header)[:16]
 
 
 def _add(digest: "hashlib._Hash", files: Iterable[Path]) -> None:
-    for state in _states(files):
-        digest.update(os.fsencode(state))  # names need not be UTF-8
-
-
-def _states(files: Iterable[Path]) -> Iterator[str]:
+    """Add names, sizes and times of writing. Unlike scores, a run goes on where its data was copied with its times."""
     for file in files:
-        try:
-            found = file.stat()
-        except (OSError, ValueError):
-            yield f"{file.name}: none\n"
-            continue
-        yield f"{file.name}: {found.st_size} {found.st_mtime_ns}\n"
+        found = file_state(file)
+        state = "none" if found is None else f"{found.st_size} {found.st_mtime_ns}"
+        digest.update(os.fsencode(f"{file.name}: {state}\n"))  # names need not be UTF-8
