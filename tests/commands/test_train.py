@@ -2,18 +2,21 @@
 
 import json
 import re
+import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.cli import main
 from zoedepth.config import BaselineConfig, ModelConfig, NaiveConfig, PixelBinsConfig
+from zoedepth.errors import InputError
 from zoedepth.presets import ENCODERS
 from zoedepth.recipes import RECIPES
-from zoedepth.train.config import SourceConfig, TrainConfig
+from zoedepth.train.config import FinetuneOptions, SourceConfig, TrainConfig
 from zoedepth.weights.load import load_model
 
 
@@ -284,3 +287,53 @@ def test_data_and_out_must_be_given(
         main(["train", "tiny", *(word for words in given.values() for word in words)])
     assert stopped.value.code == 2
     assert missing in capsys.readouterr().err
+
+
+def test_paths_of_lists_are_relative_to_root(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny_recipe("metric")
+    indoor = write_pairs(tmp_path / "indoor", n=1).rename(tmp_path / "list.csv")
+    arguments = ["train", "tiny", "--data", f"indoor={indoor}", "--out", str(tmp_path / "out"), "--config.steps", "1"]
+    assert main(arguments) == 2
+    assert f"{tmp_path / 'image/train_000.jpg'}" in capsys.readouterr().err
+    assert main([*arguments, "--root", str(tmp_path / "indoor")]) == 0
+
+
+class TestFinetune:
+    """``zoedepth train finetune``: its options. ``tests/train/test_finetune.py`` tests what it does."""
+
+    def test_all_options_arrive(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        asked = []
+
+        def plan(data: dict[str, str], options: FinetuneOptions, **_: object) -> NoReturn:
+            asked.append((data, options))
+            raise InputError("that is all")
+
+        monkeypatch.setattr("zoedepth.train.finetune.plan", plan)
+        arguments = ["train", "finetune", "-o", str(tmp_path / "out"), "--data", "a/list.csv", "more=b"]
+        assert main(arguments) == 2
+        options = [
+            "--init", "zoed-m12-n", "--domain", "attic", "--depth-scale", "500", "--root", "c", "--check", "full",
+            "--holdout", "3", "--steps", "7", "--batch-size", "5", "--learning-rate", "0.5", "--seed", "9",
+        ]  # fmt: skip
+        assert main([*arguments, *options]) == 2
+        data = {"a": "a/list.csv", "more": "b"}
+        changed = FinetuneOptions("zoed-m12-n", "attic", 500.0, "full", 3, 7, 5, 0.5, 9, root="c")
+        assert asked == [(data, FinetuneOptions()), (data, changed)]
+
+    def test_help_shows_first_what_is_needed_most(self, capsys: pytest.CaptureFixture[str]) -> None:
+        with pytest.raises(SystemExit):
+            main(["train", "finetune", "--help"])
+        first, _, more = capsys.readouterr().out.partition("more options")
+        assert all(option in first for option in ("--data", "--out", "--init", "--domain", "--depth-scale", "--root"))
+        assert all(option in more for option in ("--check", "--learning-rate", "--seed", "--devices"))
+        assert "None" not in first + more
+
+    @pytest.mark.parametrize("module", ["lightning_fabric", "tensorboard"])
+    def test_what_is_not_installed_is_said_before_the_data_is_looked_at(
+        self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], module: str
+    ) -> None:
+        monkeypatch.setitem(sys.modules, module, None)
+        assert main(["train", "finetune", "--data", "nowhere.csv", "--out", str(tmp_path / "out")]) == 2
+        assert "pip install 'zoedepth[train]'" in capsys.readouterr().err

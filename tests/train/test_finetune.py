@@ -72,10 +72,12 @@ def test_options_go_before_what_the_data_suggests(planned, init: str, tmp_path: 
     found = (config.holdout, config.steps, config.batch_size, config.optim.learning_rate, config.seed)
     assert found == tuple(options.values())
     rooms.write_text("\n".join(line.rsplit(",", 2)[0] for line in rooms.read_text().splitlines()) + "\n")
-    (source,) = planned({"rooms": rooms}, domain="attic", depth_scale=500.0).config.sources
-    assert (source.domain, source.depth_scale) == ("attic", 500)
+    rooms = rooms.rename(tmp_path / "list.csv")
+    given = {"domain": "attic", "depth_scale": 500.0, "root": str(tmp_path / "rooms")}
+    (source,) = planned({"rooms": rooms}, **given).config.sources
+    assert (source.domain, source.depth_scale, source.root) == tuple(given.values())
     with pytest.raises(InputError, match="steps and batch_size must be at least 1; they are 0"):
-        planned({"rooms": rooms}, domain="attic", depth_scale=500.0, steps=0)
+        planned({"rooms": rooms}, **given, steps=0)
 
 
 def test_more_data_means_fewer_epochs():

@@ -93,8 +93,9 @@ def test_processes_are_those_that_were_asked_for_or_torchruns(
     assert made == [expected, "16-mixed", "launched"]
 
 
-def test_without_fabric_the_extra_is_named(make_config, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "lightning_fabric", None)
+@pytest.mark.parametrize("module", ["lightning_fabric", "tensorboard"])
+def test_without_a_library_the_extra_is_named(make_config, monkeypatch: pytest.MonkeyPatch, module: str) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingExtraError, match=r"zoedepth\[train\]"):
         launch_fabric(make_config(), devices=1, n_nodes=1)
 

@@ -31,8 +31,10 @@ def demo_train(
     from zoedepth.opening import open_dataset
     from zoedepth.shards.writer import ShardSize, write_shards
     from zoedepth.train.metric import train_metric
+    from zoedepth.train.processes import require_libraries
     from zoedepth.train.relative import train_relative
 
+    require_libraries()  # said before scenes are rendered
     check_writable(out, option="--out")
     console = Console(stderr=True, highlight=False)
     began = time.monotonic()

@@ -7,23 +7,29 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import tyro
 from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.data import named_sources
-from zoedepth.commands.options import WIDTH, read
-from zoedepth.config import BaselineConfig
+from zoedepth.commands.options import WIDTH, call, read
+from zoedepth.config import BaselineConfig, ModelConfig
 from zoedepth.errors import InputError, no_such
 from zoedepth.folders import check_writable
-from zoedepth.presets import with_encoder, with_head
+from zoedepth.presets import with_encoder, with_focal_of_size, with_head
 from zoedepth.recipes import RECIPES
-from zoedepth.train.config import FinetuneOptions, TrainConfig
+from zoedepth.train.config import Check, FinetuneOptions, TrainConfig
 
 if TYPE_CHECKING:
     from zoedepth.train.finetune import Plan
+    from zoedepth.train.survey import Survey
+
+
+_Value = TypeVar("_Value")
+_Given = Annotated[_Value | None, tyro.conf.DisallowNone, tyro.conf.arg(help_behavior_hint="")]
+"""The type of an option that may be left out, without "(default: None)" in the help, which says nothing."""
 
 
 @dataclass(frozen=True)
@@ -33,43 +39,28 @@ class TrainOptions:
     data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=SOURCE...")]
     """NAME=SOURCE of each data set: NAME is a source of the recipe; SOURCE is a list, a folder, shards, a published
     data set's folder, hf:OWNER/NAME or synthetic:all (docs/your-data.md)."""
-    out: Path
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder of the run: checkpoints, log.jsonl, TensorBoard. An unfinished run in it goes on."""
-    init: str | None = None
+    init: _Given[str] = None
     """Starting weights: "imagenet", a model's name, a .safetensors file or the folder of a checkpoint."""
-    devices: int | None = None
+    root: _Given[Path] = None
+    """The folder that the paths of the lists in --data are relative to; without it that of each list."""
+    devices: _Given[int] = None
     """Processes on this machine: one for each GPU, or on the CPU one for each group of cores. Leave it out under
     torchrun."""
     nodes: int = 1
     """Number of machines. Leave it out under torchrun."""
-    head: str | None = None
+    head: _Given[str] = None
     """Another metric head than the recipe's: attractor, splitter, pixelbins, dorn, newcrfs, naive, adabins or bts, with
     the settings of the paper's comparison. Change its fields with --config.model.head.FIELD."""
-    encoder: str | None = None
+    encoder: _Given[str] = None
     """Another encoder than the recipe's, by its timm name. A baseline takes any encoder with maps at its strides."""
     config: TrainConfig = field(default_factory=RECIPES["zoed_lite"])
     """The recipe. Every field can be overridden."""
 
 
-@dataclass(frozen=True)
-class _FinetuneCommand:
-    """Fine-tune a model on photos with depth of your own, with defaults that fit them.
-
-    The command looks at the data first, and says what it found and chose; out/data.jpg shows some of it. The last pairs
-    are held out, and the model is measured on them before and after. A domain that the model does not have gets a head
-    of its own. Scattered depth, such as lidar's, is fine. Type the same command again to go on after an interruption.
-    """
-
-    data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SOURCE...")]
-    """SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself."""
-    options: Annotated[FinetuneOptions, tyro.conf.arg(name="")] = field(default_factory=FinetuneOptions)
-    devices: int | None = None
-    """Processes on this machine. Leave it out under torchrun."""
-    nodes: int = 1
-    """Number of machines. Leave it out under torchrun."""
-
+_COMMON = ("data", "out", "init", "domain", "depth_scale", "root", "steps")
+"""Options of a fine-tuning that its help shows first."""
 
 _USAGE = f"""usage: zoedepth train finetune --data SOURCE --out DIR     your own photos with depth
        zoedepth train RECIPE --data NAME=SOURCE ... --out DIR [--init WEIGHTS] [--head HEAD]
@@ -87,7 +78,7 @@ def train(arguments: Sequence[str]) -> int:
         return 0 if arguments else 2
     name, *rest = arguments
     if name == "finetune":
-        return finetune(read(_FinetuneCommand, rest, prog="zoedepth train finetune", config=(tyro.conf.DisallowNone,)))
+        return call(finetune, rest, prog="zoedepth train finetune", common=_COMMON)
     if name not in RECIPES:
         raise no_such("recipe", name, ["finetune", *RECIPES], see="zoedepth train --help")
     config = _with_parts(RECIPES[name](), rest)
@@ -105,7 +96,7 @@ def train(arguments: Sequence[str]) -> int:
     check_writable(options.out, option="--out")
     print(
         train_stage(
-            options.config,
+            _with_root(_with_focal(options.config, config), options.root),
             data=named_sources(options.data),
             out=options.out,
             init=options.init,
@@ -114,6 +105,20 @@ def train(arguments: Sequence[str]) -> int:
         )
     )
     return 0
+
+
+def _with_root(config: TrainConfig, root: Path | None) -> TrainConfig:
+    """Return the config with this folder for the paths of all lists; None leaves each what it has."""
+    if root is None:
+        return config
+    return replace(config, sources=tuple(replace(source, root=str(root)) for source in config.sources))
+
+
+def _with_focal(config: TrainConfig, recipe: TrainConfig) -> TrainConfig:
+    """Return the config with the focal lengths that belong to its model's size, where that is not the recipe's."""
+    if not isinstance(config.model, ModelConfig) or not isinstance(recipe.model, ModelConfig):
+        return config
+    return replace(config, model=with_focal_of_size(config.model, recipe.model))
 
 
 def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
@@ -140,18 +145,64 @@ def _with_parts(config: TrainConfig, arguments: Sequence[str]) -> TrainConfig:
     return replace(config, model=model if chosen.head is None else with_head(model, chosen.head))
 
 
-def finetune(command: _FinetuneCommand) -> int:
-    """Fine-tune, and print what was found, what was chosen, and the comparison of before and after."""
+def finetune(
+    *,
+    data: Annotated[tuple[str, ...], tyro.conf.arg(metavar="SOURCE...")],
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    init: str = FinetuneOptions.init,
+    domain: str | None = None,
+    depth_scale: float | None = None,
+    root: Path | None = None,
+    check: Check = FinetuneOptions.check,
+    holdout: int | None = None,
+    steps: int | None = None,
+    batch_size: int | None = None,
+    learning_rate: float | None = None,
+    seed: int = FinetuneOptions.seed,
+    devices: int | None = None,
+    nodes: int = 1,
+) -> int:
+    """Fine-tune a model on photos with depth of your own, with defaults that fit them.
+
+    The command looks at the data first, and says what it found and chose; out/data.jpg shows some of it. The last pairs
+    are held out, and the model is measured on them before and after. A domain that the model does not have gets a head
+    of its own. Scattered depth, such as lidar's, is fine. Type the same command again to go on after an interruption.
+
+    Args:
+        data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed.
+        out: folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself.
+        init: model to start from: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id.
+        domain: scene type of photos whose data does not name one: indoor, outdoor or a name of your own.
+        depth_scale: stored value of one metre in PNGs and other whole numbers, for data that does not name one.
+        root: the folder that the paths of the lists in --data are relative to; without it that of each list.
+        check: look at the data first. quick: headers, sizes and ends of all files, and the depth of up to 200 pairs.
+            full: every pair is read. off: the depth is believed, however implausible; use it for data beyond a
+            kilometre or below a centimetre.
+        holdout: pairs held out for the comparison, the last of each data set; without it a seventh, at least 1 and at
+            most 50.
+        steps: optimizer steps; without it, chosen by the number of pairs.
+        batch_size: samples in a step; without it 4.
+        learning_rate: highest rate; without it, chosen by the kind of encoder.
+        seed: seed of the order of the data and the augmentations.
+        devices: processes on this machine. Leave it out under torchrun.
+        nodes: number of machines. Leave it out under torchrun.
+    """
     from zoedepth.train import finetune as finetuning
     from zoedepth.train.log import Ticker, say
+    from zoedepth.train.processes import require_libraries
 
+    require_libraries()  # said before the data is looked at
     console = Console(stderr=True, highlight=False)
-    check_writable(command.out, option="--out")
+    check_writable(out, option="--out")
+    options = FinetuneOptions(
+        init, domain, depth_scale, check, holdout, steps, batch_size, learning_rate, seed,
+        root=None if root is None else str(root),
+    )  # fmt: skip
     ticker = Ticker("looking at the data", say)
-    plan = finetuning.plan(named_sources(command.data), command.options, out=command.out, progress=ticker)
-    for line in _described(plan, command.out):
+    plan = finetuning.plan(named_sources(data), options, out=out, progress=ticker)
+    for line in _described(plan, out):
         console.print(line, soft_wrap=True, markup=False)
-    measured = finetuning.finetune(plan, out=command.out, devices=command.devices, n_nodes=command.nodes)
+    measured = finetuning.finetune(plan, out=out, devices=devices, n_nodes=nodes)
     if int(os.environ.get("RANK", "0")):
         return 0
     table = Table("held out", "pairs", "model", "REL", "RMSE (m)", "delta1", title="Before and after")
@@ -163,7 +214,7 @@ def finetune(command: _FinetuneCommand) -> int:
             )
             table.add_row(name, str(summary.n_scored), summary.source, *cells)
     Console(highlight=False).print(table)
-    print(command.out / "model.safetensors")
+    print(out / "model.safetensors")
     return 0
 
 

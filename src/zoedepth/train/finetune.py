@@ -83,9 +83,20 @@ def plan(
     """
     init = options.init
     _check_out(out, data)
+    if is_exported(init):
+        raise InputError(f"{init} is an exported file, which cannot be trained: give what it was exported from")
+    model = load_model(init)
+    if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
+        raise InputError(
+            f"{init} is a baseline, which cannot be fine-tuned this way: train it with its recipe (zoedepth train "
+            "RECIPE --init)"
+        )
+    if not model.config.domains:
+        raise InputError(f"{init} gives relative depth only: train metric heads on it (zoedepth train RECIPE --init)")
     surveys, broken, samples, held_out = {}, {}, [], []
     for name, source in data.items():
-        dataset = open_source(SourceConfig(name, domain=options.domain, depth_scale=options.depth_scale), source)
+        given = SourceConfig(name, domain=options.domain, depth_scale=options.depth_scale, root=options.root)
+        dataset = open_source(given, source)
         surveys[name], broken[name], some = _look(dataset, name, source, options, progress)
         samples += some
         held_out.append(options.holdout if options.holdout is not None else min(50, max(1, len(dataset) // 7)))
@@ -94,16 +105,6 @@ def plan(
                 f"{source} has {len(dataset)} pairs: a holdout of {held_out[-1]} leaves none to train on. Add "
                 "pairs, or give a smaller --holdout"
             )
-    model = load_model(init)
-    if is_exported(init):
-        raise InputError(f"{init} is an exported file, which cannot be trained: give what it was exported from")
-    if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
-        raise InputError(
-            f"{init} is a baseline, which cannot be fine-tuned this way: train it with its recipe (zoedepth train "
-            "RECIPE --init)"
-        )
-    if not model.config.domains:
-        raise InputError(f"{init} gives relative depth only: train metric heads on it (zoedepth train RECIPE --init)")
     far: dict[str, float] = {}
     for found in surveys.values():
         for scene, metres in found.far.items():
@@ -122,6 +123,7 @@ def plan(
                 domain=options.domain,
                 depth_scale=options.depth_scale,
                 max_depth=found.max_depth,
+                root=options.root,
             )
             for name, found in surveys.items()
         ),

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
@@ -16,6 +17,17 @@ if TYPE_CHECKING:
     from lightning_fabric import Fabric
 
 
+def require_libraries() -> None:
+    """Check that the libraries of a training are installed, without importing them: before anything takes time.
+
+    Raises:
+        MissingExtraError: one of them is not.
+    """
+    for module in ("lightning_fabric", "tensorboard"):
+        if find_spec(module) is None:
+            raise MissingExtraError("train", "zoedepth train")
+
+
 def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> "Fabric":
     """Start the processes, and return Fabric on this machine's accelerator or CPU. Several processes train by DDP.
 
@@ -26,13 +38,12 @@ def launch_fabric(config: TrainConfig, *, devices: int | None, n_nodes: int) -> 
 
     Raises:
         InputError: torchrun has started another number of processes than ``devices``.
-        MissingExtraError: Lightning Fabric is not installed.
+        MissingExtraError: Lightning Fabric or TensorBoard is not installed.
     """
-    try:
-        from lightning_fabric import Fabric
-        from lightning_fabric.strategies import DDPStrategy
-    except ImportError as error:
-        raise MissingExtraError("train", "zoedepth train") from error
+    require_libraries()
+    from lightning_fabric import Fabric
+    from lightning_fabric.strategies import DDPStrategy
+
     started, here = int(os.environ.get("WORLD_SIZE", "1")), int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
     if "TORCHELASTIC_RUN_ID" in os.environ:
         if devices not in (None, here):

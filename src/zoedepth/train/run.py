@@ -85,16 +85,15 @@ def set_up(
     """
     fabric.seed_everything(config.seed, workers=True, verbose=False)
     finished = checkpoints(out)
+    if not finished:
+        check_log(out)
+    model = build_model(config.model)
+    started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
     ticker = Ticker("looking at the data", say if fabric.is_global_zero else lambda text: None)
     training, validation = load_sources(config, data, progress=ticker)
     identity = identity_of({source.name: samples.samples for source, samples in training}, data, init)
     if finished:
         check_same(finished[-1], config, identity)
-    else:
-        check_log(out)
-    model = build_model(config.model)
-    started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
-    if finished:
         model.provenance = read_checkpoint(finished[-1]).provenance
     else:
         seen = ", ".join(f"{source.name} ({len(samples)} pairs)" for source, samples in training)
