@@ -4,6 +4,7 @@ import errno
 import json
 import os
 from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Barrier
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from PIL import Image
 from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
+from zoedepth.geometry.lens import Lens
 from zoedepth.images import read_image, to_image
 from zoedepth.outputs import OUTPUTS, Options, sidecar
 from zoedepth.predict import Predictor
@@ -26,12 +28,15 @@ class Brightness(Predictor):
     """Predicts 1 m + the mean of the three colours / 255."""
 
     def __init__(self) -> None:
-        self.model = SimpleNamespace(config=SimpleNamespace(size=(64, 96)))
+        self.model = SimpleNamespace(config=SimpleNamespace(size=(64, 96), canonical_camera=False))
+        self.camera, self.focal_correction = "exif", None
 
     def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
         photo = to_image(image)
         depth = (1 + photo.mean(axis=2) / 255).astype(np.float32)
-        return DepthMap(depth, depth / 4, domain or "indoor", {"indoor": 0.123456, "outdoor": 0.9}, photo, (32, 64))
+        probability = {"indoor": 0.123456, "outdoor": 0.9}
+        camera = replace(Lens(fov_x=60).camera(depth.shape), source="assumed")
+        return DepthMap(depth, depth / 4, domain or "indoor", probability, photo, (32, 64), camera)
 
     def relative(self, image: object) -> np.ndarray:
         return to_image(image).mean(axis=2).astype(np.float32)
@@ -296,6 +301,8 @@ class TestPredictPhoto:
             "network_size": [32, 64],
             "domain": "indoor",
             "domain_probability": {"indoor": 0.1235, "outdoor": 0.9},
+            "focal_correction": 1.0,
+            "camera": json.loads(json.dumps(asdict(expected.camera))),
             "unit": "metre",
             "png_scale": 1000,
             "median_confidence": 0.8,
@@ -329,7 +336,7 @@ class TestPredictPhoto:
 @pytest.mark.parametrize(
     ("request_", "message"),
     [
-        ({"outputs": ("exe",)}, "no output 'exe'.*depth"),
+        ({"outputs": ("dpeth",)}, "no output 'dpeth': did you mean depth"),
         ({"outputs": ("relative",)}, "'relative' cannot be written from depth in metres"),
         ({"outputs": ("npz", "depth"), "relative": True}, "'depth' cannot be written from relative depth"),
         ({"relative": True, "domain": "indoor"}, "no metres: leave out domain"),

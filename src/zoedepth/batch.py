@@ -16,7 +16,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cache
 from itertools import count
@@ -25,7 +25,9 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from zoedepth import __version__
-from zoedepth.errors import InputError, ZoeDepthError
+from zoedepth.calibration import Calibration
+from zoedepth.depth_map import DepthMap
+from zoedepth.errors import InputError, ZoeDepthError, no_such
 from zoedepth.folders import Listing, check_writable, list_files, service_folder
 from zoedepth.images import IMAGE_SUFFIXES, read_image
 from zoedepth.outputs import OUTPUTS, Maps, Options
@@ -52,6 +54,11 @@ _OTHER_PICTURES = {
     for suffix in suffixes.split()
 }  # fmt: skip
 """Suffix (lower case) of files that somebody may take for photos → what they are, and what to do."""
+
+_UNKNOWN_CAMERA = (
+    "without a known camera: that of the training photos was assumed, and depth was not corrected by the focal length. "
+    "Say the field of view (--fov-x, --fov-diagonal) or the camera (--camera FILE)"
+)
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -108,16 +115,24 @@ class Request:
     """Scene type whose head to use; None leaves it to the model's router."""
     relative: bool = False
     """True predicts relative depth instead of metres."""
+    calibration: Calibration | None = None
+    """The calibration by which metres are put right; photos that it does not hold for fail."""
 
     def __post_init__(self) -> None:
         options = self.options
-        given = {"domain": self.domain, "png_scale": options.png_scale, "vmin": options.vmin, "vmax": options.vmax}
+        given = {
+            "domain": self.domain,
+            "png_scale": options.png_scale,
+            "vmin": options.vmin,
+            "vmax": options.vmax,
+            "calibration": self.calibration,
+        }
         metric = [name for name, value in given.items() if value is not None]
         if self.relative and metric:
             raise InputError(f"relative depth has no metres: leave out {', '.join(metric)}")
         for name in self.names:
             if name not in OUTPUTS:
-                raise InputError(f"there is no output {name!r}: use one of {', '.join(OUTPUTS)}")
+                raise no_such("output", name, OUTPUTS)
             if self.map not in OUTPUTS[name].maps:
                 found = "relative depth" if self.relative else "depth in metres"
                 fitting = [known for known, output in OUTPUTS.items() if self.map in output.maps]
@@ -223,12 +238,17 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
     if reason := blocked(photo, request):
         raise InputError(reason)
     started = time.perf_counter()
+    notes: tuple[str, ...] = ()
     if request.relative:
         image = read_image(photo.path)
         maps = Maps(relative=predictor.relative(image), image=image)
         origin: dict[str, object] = {"input_size": image.shape[:2]}
     else:
         result = predictor(photo.path, domain=request.domain)
+        if request.calibration is not None:
+            result = result.calibrated(request.calibration, network=request.model)
+        if predictor.corrects_known_cameras and result.camera.source == "assumed":
+            notes = (_UNKNOWN_CAMERA,)
         maps = result.maps
         origin = {
             "config_size": predictor.model.config.size,
@@ -236,6 +256,7 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
             "network_size": result.network_size,
             "domain": result.domain,
             "domain_probability": sidecars.rounded(result.domain_probability),
+            **_about_camera(result),
         }
     seconds = time.perf_counter() - started
     folder = photo.target.parent
@@ -260,7 +281,7 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
         files = _files(photo, request)
         for kind, file in files.items():
             _files(draft, request)[kind].replace(file)
-    return Outcome(photo, sidecar, files, tuple(note for output in written.values() for note in output.notes))
+    return Outcome(photo, sidecar, files, (*notes, *(note for output in written.values() for note in output.notes)))
 
 
 def predict_all(
@@ -339,6 +360,16 @@ def share_cores(workers: int) -> Iterator[None]:
 def cpu_count() -> int:
     """Return the number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _about_camera(result: DepthMap) -> dict[str, object]:
+    """Return what became of the depth because of its camera; ``sidecars.describe`` tells the camera itself."""
+    about: dict[str, object] = {"focal_correction": result.focal_correction}
+    if result.camera_note:
+        about["camera_note"] = result.camera_note
+    if result.calibration is not None:
+        about["calibration"] = replace(result.calibration, readings=()).to_json()
+    return about
 
 
 def _files(photo: Photo, request: Request) -> dict[str, Path]:

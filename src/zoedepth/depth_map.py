@@ -1,16 +1,40 @@
-"""The depth of one photo: metres, how sure they are, and the files they can be written as."""
+"""The depth of one photo: metres, how sure they are, what can be measured in it, and the files it can be written as."""
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32
 
 from zoedepth import colors
+from zoedepth.calibration import Calibration, Distance, Form, Point, calibrate
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.points import unproject
 from zoedepth.images import DepthArray, ImageArray
 from zoedepth.outputs import Maps, Options, write_maps
 
 
+class DepthAt(NamedTuple):
+    """The depth at one pixel."""
+
+    depth: float
+    """Metres along the optical axis."""
+    std: float | None
+    """Metres: ± of the depth by the model's own distribution, see ``DepthMap.std``; None where it has none."""
+
+
 @dataclass(frozen=True, eq=False)
 class DepthMap:
-    """The depth of one photo, at the photo's size."""
+    """The depth of one photo, at the photo's size.
+
+    What follows from the depth (``valid``, ``distance``, ``points``) is computed when it is first asked for, and kept:
+    ask after you have changed ``depth`` in place, not before.
+    """
 
     depth: DepthArray
     """Metres along the optical axis (z, not the length of the ray); finite and positive everywhere."""
@@ -25,16 +49,29 @@ class DepthMap:
     """The photo, RGB."""
     network_size: tuple[int, int]
     """(height, width) at which the model saw the photo."""
+    camera: Camera
+    """The camera of the photo. ``camera.source`` says who knows it: it was given, or the photo's notes tell it (exif),
+    or nobody does, and it is assumed to be that of the model's training photos."""
+    camera_note: str = ""
+    """What the photo's notes told of the camera ("its 35-mm focal length is 26 mm"), or why they told none ("it has no
+    EXIF"); empty where they were not asked."""
+    focal_correction: float = 1.0
+    """The factor by which depth and std were multiplied because the photo's focal length is not that of the training
+    photos; 1 where they were not."""
+    depth_range: tuple[float, float] = (0.0, math.inf)
+    """Metres: the nearest and the farthest depth that the model gives in this scene type, corrected as ``depth`` is."""
+    calibration: Calibration | None = None
+    """The calibration by readings that ``depth`` and ``std`` went through last of all; None where they did not."""
 
     @property
     def size(self) -> tuple[int, int]:
         """(height, width) of the photo and of the depth."""
         return self.depth.shape[0], self.depth.shape[1]
 
-    @property
+    @cached_property
     def maps(self) -> Maps:
-        """The arrays alone, for ``outputs``."""
-        return Maps(depth=self.depth, std=self.std, image=self.image)
+        """The arrays and the camera alone, for ``outputs``."""
+        return Maps(depth=self.depth, std=self.std, image=self.image, camera=self.camera, depth_range=self.depth_range)
 
     @property
     def confidence(self) -> DepthArray | None:
@@ -46,6 +83,110 @@ class DepthMap:
         none). None where the model has no distribution over depth.
         """
         return self.maps.confidence
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "height width"]:
+        """True where the depth can be used: it is finite, within the model's range, and no flying pixel at a jump.
+
+        Sky is left out where the model puts it beyond its range. No model here has learned what sky is, and one that
+        puts it nearer is believed.
+        """
+        valid = self.maps.valid
+        assert valid is not None  # there is depth
+        return valid
+
+    @property
+    def intrinsics(self) -> Float[np.ndarray, "3 3"]:
+        """The camera's matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], pixels, as OpenCV counts them."""
+        return self.camera.matrix
+
+    @cached_property
+    def points(self) -> Float32[np.ndarray, "height width 3"]:
+        """The point in space that each pixel sees, metres: x to the right, y down, z forward, as in OpenCV."""
+        return unproject(self.depth, self.camera)
+
+    @cached_property
+    def distance(self) -> DepthArray:
+        """Metres from the camera to what each pixel sees, along its ray; depth is measured along the optical axis."""
+        return self.depth * np.linalg.norm(self.camera.rays(), axis=-1)
+
+    def at(self, x: float, y: float) -> DepthAt:
+        """Return the depth at a pixel, in metres, and its ± where the model has a distribution.
+
+        It is that of the nearest pixel: between two pixels there may be a jump, and nothing at the depth between.
+
+        Args:
+            x: column; the centres of the leftmost pixels are at 0.
+            y: row; the centres of the top pixels are at 0.
+
+        Raises:
+            InputError: it is outside the photo, or the depth there is not ``valid``.
+        """
+        row, column = self._pixel(x, y)
+        return DepthAt(float(self.depth[row, column]), None if self.std is None else float(self.std[row, column]))
+
+    def measure(self, one: tuple[float, float], other: tuple[float, float]) -> float:
+        """Return the distance in metres between the points in space that two pixels (x, y) see.
+
+        It is the length of the straight line between the points. It takes the camera's field of view for right: see
+        ``camera.source``.
+
+        Raises:
+            InputError: one of them is outside the photo, or the depth there is not ``valid``.
+        """
+        first, second = (self.camera.ray(*place) * self.at(*place).depth for place in (one, other))
+        return math.dist(first, second)
+
+    def calibrate(
+        self,
+        readings: Sequence[Point | Distance] | Float[np.ndarray, "_ _"],
+        *,
+        along_ray: bool = False,
+        form: Form = "scale",
+    ) -> "DepthMap":
+        """Return this depth map with its metres put right by what was measured; ``calibration`` of the result says how.
+
+        Args:
+            readings: (x, y, metres) of pixels, ((x, y), (x, y), metres) of the distance of two points, or a sparse
+                depth map; see ``calibration.calibrate``.
+            along_ray: readings are from the lens to the thing, as a tape measure gives them, and not along the axis.
+            form: "scale-shift" also fits a power of the depth where the readings say that it helps.
+
+        Raises:
+            InputError: a reading is outside of the photo, at a pixel that is not ``valid``, or not above 0; or the
+                depth is calibrated already.
+        """
+        calibration = calibrate(
+            self.depth, readings, camera=self.camera, valid=self.valid, along_ray=along_ray, form=form
+        )
+        return self.calibrated(replace(calibration, domain=self.domain, focal_corrected=self.focal_correction != 1))
+
+    def calibrated(self, calibration: Calibration, *, network: str | None = None) -> "DepthMap":
+        """Return this depth map with its metres put right by a calibration of the same camera.
+
+        Args:
+            calibration: from ``calibrate``, or from a file (``calibration.read_calibration``).
+            network: name of the model that made this depth; None does not compare it.
+
+        Raises:
+            InputError: the calibration is of another camera, model or scene type, was made with another correction by
+                the focal length, or the depth is calibrated already.
+        """
+        if self.calibration is not None:
+            raise InputError("this depth is calibrated already: calibrate the depth as the model gave it")
+        reasons = calibration.mismatches(
+            camera=self.camera, network=network, domain=self.domain, focal_corrected=self.focal_correction != 1
+        )
+        if reasons:
+            raise InputError(f"the calibration does not hold for this photo: {'; '.join(reasons)}. Make one for it")
+        near, far = calibration.apply(np.array([self.depth_range], np.float32))[0].tolist()
+        return replace(
+            self,
+            depth=calibration.apply(self.depth),
+            std=None if self.std is None else calibration.apply_to_std(self.std, self.depth),
+            depth_range=(near, far),
+            calibration=calibration,
+        )
 
     def preview(self, *, vmin: float | None = None, vmax: float | None = None, colormap: str = "magma_r") -> ImageArray:
         """Return the photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
@@ -66,3 +207,19 @@ class DepthMap:
             InputError: another suffix.
         """
         write_maps(path, self.maps, Options(png_scale=scale))
+
+    def _pixel(self, x: float, y: float) -> tuple[int, int]:
+        """Return the (row, column) of the pixel at x and y, one whose depth is valid."""
+        height, width = self.size
+        if not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):  # also where one is not a number
+            raise InputError(
+                f"x = {x:g}, y = {y:g} is outside the photo of {width} x {height} pixels: x is the column, from 0 to "
+                f"{width - 1}, and y the row, from 0 to {height - 1}"
+            )
+        row, column = math.floor(y + 0.5), math.floor(x + 0.5)
+        if not self.valid[row, column]:
+            raise InputError(
+                f"there is no depth to rely on at x = {x:g}, y = {y:g}: it lies at the border of a thing, between near "
+                "and far, or outside of the model's range. Take a pixel beside it"
+            )
+        return row, column

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 import torch
@@ -14,18 +14,36 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import Domain, ModelConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
-from zoedepth.images import DepthArray, ImageArray, to_image
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.exif import read_exif_camera
+from zoedepth.geometry.lens import KnownCamera, camera_of
+from zoedepth.images import DepthArray, ImageArray, to_image, to_image_with_notes
 from zoedepth.model.interface import DepthModel, DepthOutput
-from zoedepth.pixels import reflect_pad, resize_pixels
-from zoedepth.sizes import network_size
+from zoedepth.pixels import check_pixels, reflect_pad, resize_pixels
+from zoedepth.sizes import network_focal, network_size
 
 MAX_NETWORK_AREA = 16
 """A photo whose network input would be larger than this many times the trained size is refused."""
 
-_MAX_OVERSHOOT = 0.5  # beyond [0, 1]: resizing leads to less, pixels that are normalised or in 0..255 have more
+ASSUMED_FOV_X = 60.0
+"""Degrees from left to right that a photo is assumed to have where neither it nor the model's config says anything."""
+
+CameraChoice: TypeAlias = KnownCamera | Literal["exif", "none"]
+"""The camera of a photo: what somebody knows of it; or "exif", what the photo's own notes tell; or "none"."""
+
+
+class _Photo(NamedTuple):
+    """A photo that is about to be predicted."""
+
+    image: ImageArray
+    network_size: tuple[int, int]
+    camera: Camera | None
+    """None where nobody knows it."""
+    camera_note: str
+    """What its notes tell of the camera, or why they tell none; empty where they were not asked."""
 
 
 class Predictor:
@@ -45,9 +63,19 @@ class Predictor:
         resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``. None does what the config says.
         device: where to run, "auto" for the best there is. None stays where the model is.
         precision: "bfloat16" runs the model under autocast; the output is float32 either way.
+        camera: the camera of the photos, where a call does not say another. "exif" reads it from each photo's notes. A
+            ``Camera`` is that of photos of its size; photos of the same proportions are taken for resized ones. A
+            ``Lens`` (a field of view, or a focal length) holds for photos of any size. "none" asks nobody. Where nobody
+            knows it, the camera of the model's training photos is assumed, and ``DepthMap.camera.source`` says so.
+        focal_correction: True multiplies depth by the photo's focal length over that of the training photos, both in
+            pixels of the network's input: a lens that magnifies twice brings things, as the model sees them, to half
+            their distance. False does not. None does it where the model was trained in one canonical camera
+            (``config.canonical_camera``), and where the camera is given, if the config knows the focal length of the
+            training photos. An assumed camera corrects nothing.
 
     Raises:
-        InputError: unknown precision or device.
+        InputError: unknown precision, device or camera; or ``focal_correction`` is True, and the model's config does
+            not say the focal length of its training photos (``Domain.focal_px``).
     """
 
     def __init__(
@@ -60,11 +88,21 @@ class Predictor:
         resize: Literal["keep-aspect", "squeeze"] | None = None,
         device: str | torch.device | None = None,
         precision: Literal["float32", "bfloat16"] = "float32",
+        camera: CameraChoice = "exif",
+        focal_correction: bool | None = None,
     ) -> None:
         if upsampling not in ("bicubic", "bilinear"):
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
+        _check_choice(camera)
+        unknown = [domain.name for domain in model.config.domains if domain.focal_px is None]
+        if focal_correction and unknown:
+            raise InputError(
+                f"the config of this model does not say with what focal length it was trained for {', '.join(unknown)} "
+                "(Domain.focal_px), so that depth cannot be corrected by the focal length of the photo: leave "
+                "focal_correction out"
+            )
         exported = next(model.parameters(), None) is None  # such a model stays where its runtime is
         if exported and device is not None and str(device) not in ("auto", "cpu"):
             raise InputError(f"an exported model cannot be moved to {str(device)!r}: leave the device out")
@@ -77,8 +115,16 @@ class Predictor:
         if resize == "keep-aspect" and not model.config.one_size:
             self.keep_aspect_ratio = True
         self.precision = precision
+        self.camera: CameraChoice = camera
+        self.focal_correction = focal_correction
 
-    def __call__(self, image: Any, *, domain: str | None = None) -> DepthMap:
+    @property
+    def corrects_known_cameras(self) -> bool:
+        """True where depth is corrected by the focal length if the notes of a photo tell its camera."""
+        wanted = self.model.config.canonical_camera if self.focal_correction is None else self.focal_correction
+        return self.camera == "exif" and wanted
+
+    def __call__(self, image: Any, *, domain: str | None = None, camera: CameraChoice | None = None) -> DepthMap:
         """Predict the depth of one photo.
 
         Args:
@@ -86,13 +132,22 @@ class Predictor:
                 ``images.to_image``. BGR cannot be told from RGB and gives a worse depth without a word: turn what
                 OpenCV reads round, ``image[..., ::-1]``.
             domain: scene type whose head to use, e.g. "indoor"; None leaves it to the model's router.
+            camera: the camera of this photo, see ``Predictor``; None is that of the predictor.
 
         Raises:
-            InputError: the image cannot be read, the domain is unknown, or the model is in training mode.
+            InputError: the image cannot be read, the camera is that of a photo of other proportions, the domain is
+                unknown, or the model is in training mode.
         """
-        return self.batch([image], domain=domain)[0]
+        return self.batch([image], domain=domain, camera=camera)[0]
 
-    def batch(self, images: Sequence[Any], *, domain: str | None = None, batch_size: int = 4) -> list[DepthMap]:
+    def batch(
+        self,
+        images: Sequence[Any],
+        *,
+        domain: str | None = None,
+        camera: CameraChoice | Sequence[CameraChoice | None] | None = None,
+        batch_size: int = 4,
+    ) -> list[DepthMap]:
         """Predict several photos. The depths are those of one photo at a time.
 
         On an accelerator those of one network size go through the model together. On the CPU that would take longer
@@ -101,10 +156,12 @@ class Predictor:
         Args:
             images: photos of any kinds and sizes, RGB, see ``__call__``.
             domain: scene type whose head to use for all of them; None leaves each to the router.
+            camera: the camera of all photos, or a list with that of each; None is that of the predictor.
             batch_size: photos that are computed at the same time. Each takes memory.
 
         Raises:
-            InputError: ``images`` is no list, or ``batch_size`` is less than 1; otherwise see ``__call__``.
+            InputError: ``images`` is no list, there are not as many cameras as photos, or ``batch_size`` is less than
+                1; otherwise see ``__call__``.
         """
         self._check_mode()
         if isinstance(images, str | bytes | Path):
@@ -112,22 +169,26 @@ class Predictor:
         if batch_size < 1:
             raise InputError(f"batch_size must be 1 or more, got {batch_size}")
         head = None if domain is None else self.domain_index(domain)
-        photos = [to_image(image) for image in images]
-        sizes = [self.network_size(photo.shape[:2]) for photo in photos]
+        cameras = _one_each(camera, len(images))
+        photos = [self._photo(image, choice) for image, choice in zip(images, cameras, strict=True)]
         if self._one_by_one:
-            return self._side_by_side(photos, sizes, head, workers=batch_size)
+            return self._side_by_side(photos, head, workers=batch_size)
         groups: dict[tuple[int, int], list[int]] = {}
-        for row, size in enumerate(sizes):
-            groups.setdefault(size, []).append(row)
+        for row, photo in enumerate(photos):
+            groups.setdefault(photo.network_size, []).append(row)
         results: dict[int, DepthMap] = {}
-        for size, rows in groups.items():
+        for rows in groups.values():
             for start in range(0, len(rows), batch_size):
                 chunk = rows[start : start + batch_size]
-                results |= zip(chunk, self._predict([photos[row] for row in chunk], size, head), strict=True)
+                results |= zip(chunk, self._predict([photos[row] for row in chunk], head), strict=True)
         return [results[row] for row in range(len(photos))]
 
     def infer(
-        self, pixels: Float[Tensor, "batch 3 height width"], *, domain: Int[Tensor, " batch"] | None = None
+        self,
+        pixels: Float[Tensor, "batch 3 height width"],
+        *,
+        domain: Int[Tensor, " batch"] | None = None,
+        camera: CameraChoice | Sequence[CameraChoice | None] | None = None,
     ) -> Float[Tensor, "batch 1 height width"]:
         """Predict the depth of a tensor of photos of one size, as the original's ``infer``, for pipelines in torch.
 
@@ -136,26 +197,28 @@ class Predictor:
         Args:
             pixels: RGB in [0, 1], of any size, on any device, not normalised: the model does that.
             domain: index of the head each photo takes; None leaves it to the model's router.
+            camera: the camera of all photos, or a list with that of each, see ``Predictor``; None is that of the
+                predictor. Tensors have no notes: where it is "exif", nothing is corrected.
 
         Returns:
             Metres, float32, on the predictor's device.
 
         Raises:
-            InputError: wrong shape, type or range, or the model is in training mode.
+            InputError: wrong shape, type or range, a camera of a photo of other proportions, or the model is in
+                training mode.
         """
-        if pixels.ndim != 4 or pixels.shape[1] != 3 or not pixels.is_floating_point() or 0 in pixels.shape:
-            shape = tuple(pixels.shape)
-            raise InputError(f"pixels must be float (batch, 3, height, width) in [0, 1]; got {pixels.dtype} {shape}")
-        low, high = (float(value) for value in pixels.detach().aminmax())
-        if not (low > -_MAX_OVERSHOOT and high < 1 + _MAX_OVERSHOOT):  # also when one of them is not a number
-            raise InputError(
-                f"pixels are in [{low:.4g}, {high:.4g}] and must be RGB in [0, 1]: divide 8 bits by 255, and leave out "
-                "ImageNet's mean and deviation, which the model applies itself"
-            )
+        check_pixels(pixels)
         self._check_mode()
         size = (pixels.shape[2], pixels.shape[3])
-        resized = self._to_network(pixels.to(self.device).float(), self.network_size(size))
-        return self._from_network(self._run(resized, domain).depth, size, mode=self.upsampling)
+        network_size = self.network_size(size)
+        cameras = [self._known(choice, size) for choice in _one_each(camera, len(pixels))]
+        output = self._run(self._to_network(pixels.to(self.device).float(), network_size), domain)
+        depth = self._from_network(output.depth, size, mode=self.upsampling)
+        heads = [self.model.config.domains[head] for head in output.domain.tolist()]
+        factors = [self._focal_factor(*each, network_size) for each in zip(cameras, heads, strict=True)]
+        if all(factor == 1 for factor in factors):
+            return depth
+        return depth * depth.new_tensor(factors)[:, None, None, None]
 
     @torch.inference_mode()
     def relative(self, image: Any) -> DepthArray:
@@ -209,13 +272,54 @@ class Predictor:
             raise InputError(f"this model has no head for {domain!r}: use one of {names}")
         return names.index(domain)
 
+    def _photo(self, image: Any, choice: CameraChoice | None) -> _Photo:
+        """Read a photo, and find out its camera."""
+        note, choice = "", self.camera if choice is None else choice
+        if choice == "exif":
+            photo, notes = to_image_with_notes(image)
+            known = read_exif_camera(notes, _size(photo))
+            camera, note = known.camera, known.reason
+        else:
+            photo = to_image(image)
+            camera = self._known(choice, _size(photo))
+        return _Photo(photo, self.network_size(_size(photo)), camera, note)
+
+    def _known(self, choice: CameraChoice | None, size: tuple[int, int]) -> Camera | None:
+        """Return the camera of a photo of ``size`` without notes; None where nobody knows it."""
+        choice = self.camera if choice is None else choice
+        _check_choice(choice)
+        return None if isinstance(choice, str) else camera_of(choice, size)
+
+    def _assumed(self, size: tuple[int, int], domain: Domain, network_size: tuple[int, int]) -> Camera:
+        """Return the camera that a photo of ``size`` is taken to have: that of the training photos, if it is known."""
+        if domain.focal_px is None:
+            return Camera.from_fov(size, horizontal=ASSUMED_FOV_X, source="assumed")
+        at_one = self._focal_in_network(Camera.from_focal(1.0, size), network_size)
+        return Camera.from_focal(domain.focal_px / at_one, size, source="assumed")
+
+    def _focal_factor(self, camera: Camera | None, domain: Domain, network_size: tuple[int, int]) -> float:
+        """Return what the depth of a photo is multiplied by because of its camera."""
+        if camera is None or camera.source == "assumed" or domain.focal_px is None:
+            return 1.0
+        wanted = self.focal_correction
+        if wanted is None:
+            wanted = self.model.config.canonical_camera or camera.source == "given"
+        return self._focal_in_network(camera, network_size) / domain.focal_px if wanted else 1.0
+
+    def _focal_in_network(self, camera: Camera, network_size: tuple[int, int]) -> float:
+        """Return the focal length that a photo has as the network sees it, in pixels of the network's input."""
+        vertical, horizontal = self._padding(camera.size)
+        padded_size = (camera.size[0] + 2 * vertical, camera.size[1] + 2 * horizontal)
+        return network_focal((camera.fx, camera.fy), padded_size, network_size)
+
     @torch.inference_mode()
-    def _predict(self, photos: list[ImageArray], size: tuple[int, int], head: int | None) -> list[DepthMap]:
+    def _predict(self, photos: list[_Photo], head: int | None) -> list[DepthMap]:
         """Predict photos that share a network size."""
-        pixels = torch.cat([self._to_network(self._pixels(photo), size) for photo in photos])
+        size = photos[0].network_size
+        pixels = torch.cat([self._to_network(self._pixels(photo.image), size) for photo in photos])
         given = None if head is None else torch.full((len(photos),), head, device=self.device)
         output = self._run(pixels, given)
-        return [self._depth_map(photo, _rows(output, slice(row, row + 1)), size) for row, photo in enumerate(photos)]
+        return [self._depth_map(photo, _rows(output, slice(row, row + 1))) for row, photo in enumerate(photos)]
 
     @property
     def _one_by_one(self) -> bool:
@@ -225,18 +329,16 @@ class Predictor:
         exported = next(self.model.parameters(), None) is None  # its runtime has threads of its own
         return self.device.type == "cpu" and not votes_together and not exported
 
-    def _side_by_side(
-        self, photos: list[ImageArray], sizes: list[tuple[int, int]], head: int | None, *, workers: int
-    ) -> list[DepthMap]:
+    def _side_by_side(self, photos: list[_Photo], head: int | None, *, workers: int) -> list[DepthMap]:
         """Predict photos at the same time, each on its share of torch's threads."""
         threads = torch.get_num_threads()
         workers = min(workers, threads, len(photos))
         if workers < 2:
-            return [self._predict([photo], size, head)[0] for photo, size in zip(photos, sizes, strict=True)]
+            return [self._predict([photo], head)[0] for photo in photos]
         share = threads // workers
         try:
             with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(share,)) as executor:
-                return list(executor.map(lambda *each: self._predict([each[0]], each[1], head)[0], photos, sizes))
+                return list(executor.map(lambda photo: self._predict([photo], head)[0], photos))
         finally:
             torch.set_num_threads(threads)  # what a thread sets holds for all that start later
 
@@ -322,7 +424,7 @@ class Predictor:
                 output = output._replace(depth=depth, std=std)
         return _mirror_mean(_rows(output, slice(n)), _rows(output, slice(n, None)), domain=domain)
 
-    def _depth_map(self, photo: ImageArray, output: DepthOutput, size: tuple[int, int]) -> DepthMap:
+    def _depth_map(self, photo: _Photo, output: DepthOutput) -> DepthMap:
         """Return what the model says of one photo at the photo's own size, on the CPU."""
         domains = self.model.config.domains
         domain = domains[int(output.domain)]
@@ -331,11 +433,27 @@ class Predictor:
         else:
             softmax = output.domain_logits[0].softmax(dim=0).tolist()
             probability = {known.name: p for known, p in zip(domains, softmax, strict=True)}
-        shape = (photo.shape[0], photo.shape[1])
+        size = _size(photo.image)
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
-        depth = _to_array(self._from_network(output.depth, shape, mode=self.upsampling)).clip(domain.min_depth, None)
-        std = None if output.std is None else _to_array(self._from_network(output.std, shape, mode="bilinear"))
-        return DepthMap(depth, std, domain.name, probability, photo, size)
+        near, far = np.float32(domain.min_depth), np.float32(domain.max_depth)
+        depth = _to_array(self._from_network(output.depth, size, mode=self.upsampling)).clip(near, None)
+        std = None if output.std is None else _to_array(self._from_network(output.std, size, mode="bilinear"))
+        factor = self._focal_factor(photo.camera, domain, photo.network_size)
+        if factor != 1:
+            near, far, depth = (metres * np.float32(factor) for metres in (near, far, depth))
+            std = None if std is None else std * np.float32(factor)
+        return DepthMap(
+            depth,
+            std,
+            domain.name,
+            probability,
+            photo.image,
+            photo.network_size,
+            photo.camera or self._assumed(size, domain, photo.network_size),
+            camera_note=photo.camera_note,
+            focal_correction=factor,
+            depth_range=(float(near), float(far)),
+        )
 
 
 def _rows(output: DepthOutput, some: slice) -> DepthOutput:
@@ -361,6 +479,27 @@ def _mirror_mean(straight: DepthOutput, mirrored: DepthOutput, *, domain: Int[Te
     if logits is not None and mirrored.domain_logits is not None:
         logits = (logits + mirrored.domain_logits) / 2
     return DepthOutput((one + other) / 2, None, domain, logits, std, None, None)
+
+
+def _size(photo: ImageArray) -> tuple[int, int]:
+    return photo.shape[0], photo.shape[1]
+
+
+def _one_each(
+    camera: CameraChoice | Sequence[CameraChoice | None] | None, number: int
+) -> Sequence[CameraChoice | None]:
+    """Return a list with the camera of each photo, given one for all or such a list."""
+    if camera is None or isinstance(camera, str | get_args(KnownCamera)):
+        return [camera] * number
+    if not isinstance(camera, Sequence) or len(camera) != number:
+        n_cameras = len(camera) if isinstance(camera, Sequence) else type(camera).__name__
+        raise InputError(f"there are {number} photos and {n_cameras} cameras: give a list with one camera for each")
+    return camera
+
+
+def _check_choice(camera: CameraChoice) -> None:
+    if camera not in ("exif", "none") and not isinstance(camera, get_args(KnownCamera)):
+        raise InputError(f"camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none', got {camera!r}")
 
 
 def _to_array(x: Float[Tensor, "1 1 height width"]) -> DepthArray:

@@ -5,8 +5,10 @@ import json
 import os
 import re
 import signal
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -43,6 +45,18 @@ def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) 
 
 def predict(*arguments: object, out: Path) -> int:
     return main(["predict", *map(str, arguments), "--out", str(out)])
+
+
+def at_photo(monkeypatch: pytest.MonkeyPatch, name: str, act: Callable[[], None]) -> None:
+    """Let something happen when the prediction of the photo of this name begins."""
+    call = Predictor.__call__
+
+    def acting(self: Predictor, image: object, **options: Any) -> DepthMap:
+        if Path(str(image)).name == name:
+            act()
+        return call(self, image, **options)
+
+    monkeypatch.setattr(Predictor, "__call__", acting)
 
 
 def names(folder: Path) -> set[str]:
@@ -102,7 +116,7 @@ class TestOptions:
             (["--vmin", "5", "--vmax", "1"], "vmin"),
             (["--colormap", "jet"], "jet"),
             (["--save", "exe"], "exe"),
-            (["--workers", "-1"], "--workers"),
+            (["--workers", "-1"], "--workers must be 1 or more"),
             (["--relative", "--domain", "indoor"], "no metres"),
             (["--relative", "--png-scale", "256"], "no metres"),
             (["--relative", "--vmax", "3"], "no metres"),
@@ -141,7 +155,8 @@ class TestOptions:
                 "sidecar": str(tmp_path / "out" / "a.json"),
             },
             "size": [30, 40],
-            **{key: sidecar[key] for key in ("depth", "domain", "seconds")},
+            **{key: sidecar[key] for key in ("depth", "domain", "camera", "focal_correction", "seconds")},
+            "calibration": None,
             "error": None,
         }
         assert good["depth"].keys() == {"min", "median", "max"}
@@ -230,14 +245,7 @@ class TestWhatItSays:
     def test_ended_by_the_system(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        call = Predictor.__call__
-
-        def end(self: Predictor, image: object, *, domain: str | None = None) -> DepthMap:
-            if Path(str(image)).name == "1.jpg":
-                os.kill(os.getpid(), signal.SIGTERM)
-            return call(self, image, domain=domain)
-
-        monkeypatch.setattr(Predictor, "__call__", end)
+        at_photo(monkeypatch, "1.jpg", lambda: os.kill(os.getpid(), signal.SIGTERM))
         before = signal.getsignal(signal.SIGTERM)
         photos = [write_photo(tmp_path / f"{index}.jpg") for index in range(20)]
         assert predict(*photos, "--no-flip", "--no-preview", "--workers", "1", out=tmp_path / "out") == 143
@@ -253,8 +261,8 @@ class TestWhatItSays:
     ) -> None:
         call = Predictor.__call__
 
-        def far(self: Predictor, image: object, *, domain: str | None = None) -> DepthMap:
-            result = call(self, image, domain=domain)
+        def far(self: Predictor, image: object, **options: Any) -> DepthMap:
+            result = call(self, image, **options)
             result.depth[:] = 70
             return result
 
@@ -267,14 +275,10 @@ class TestWhatItSays:
     def test_interrupted(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        call = Predictor.__call__
+        def interrupt() -> NoReturn:
+            raise KeyboardInterrupt
 
-        def interrupt(self: Predictor, image: object, *, domain: str | None = None) -> DepthMap:
-            if Path(str(image)).name == "1.jpg":
-                raise KeyboardInterrupt
-            return call(self, image, domain=domain)
-
-        monkeypatch.setattr(Predictor, "__call__", interrupt)
+        at_photo(monkeypatch, "1.jpg", interrupt)
         photos = [write_photo(tmp_path / f"{index}.jpg") for index in range(3)]
         assert predict(*photos, "--no-flip", "--no-preview", "--workers", "1", out=tmp_path / "out") == 130
         said = re.search(r"Interrupted: ([12]) of 3 photos written", capsys.readouterr().err)  # one more may have begun

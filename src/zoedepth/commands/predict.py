@@ -1,6 +1,5 @@
 """``zoedepth predict``: depth maps of photos, folders and globs, as files."""
 
-import os
 import signal
 import threading
 from collections import Counter
@@ -14,6 +13,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from zoedepth.batch import Found, Outcome, Request, blocked, cpu_count, find_photos, predict_all, share_cores
+from zoedepth.calibration import read_calibration
+from zoedepth.commands.cameras import chosen_camera
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.outputs import OUTPUTS, Options
@@ -24,7 +25,15 @@ if TYPE_CHECKING:
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
 
-_IN_JSON = {"size": "input_size", "depth": "depth", "domain": "domain", "seconds": "seconds"}
+_IN_JSON = {
+    "size": "input_size",
+    "depth": "depth",
+    "domain": "domain",
+    "camera": "camera",
+    "focal_correction": "focal_correction",
+    "calibration": "calibration",
+    "seconds": "seconds",
+}
 """Name in a line of --json → name in the sidecar."""
 
 _SAVE = tyro.conf.arg(
@@ -44,6 +53,14 @@ def predict(
     flip: bool = True,
     pad: Literal["model", "yes", "no"] = "model",
     domain: str | None = None,
+    camera: Annotated[str | None, tyro.conf.arg(metavar="exif|none|FILE")] = None,
+    fov_x: float | None = None,
+    fov_y: float | None = None,
+    fov_diagonal: float | None = None,
+    focal_px: float | None = None,
+    intrinsics: Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")] = None,
+    focal_correction: Literal["model", "yes", "no"] = "model",
+    calibration: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     relative: bool = False,
     compat: tuple[str, ...] = (),
     png_scale: float | None = None,
@@ -52,7 +69,7 @@ def predict(
     colormap: str = "magma_r",
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
-    workers: int = 0,
+    workers: int | None = None,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Predict depth in metres: for each photo a 16-bit PNG, a colour preview and a JSON sidecar.
@@ -72,6 +89,19 @@ def predict(
         pad: reflect the borders outwards before the network, against artefacts at the border. "model" does as the model
             was made for (the released ones: yes; zoed-lite: no).
         domain: scene type whose head to use, e.g. indoor; without it the model's router decides, photo by photo.
+        camera: exif, the default, reads the camera from each photo's notes. none assumes that of the model's training
+            photos, as it is wherever nobody says it. FILE is a camera for all photos: OpenCV's or ROS's YAML, COLMAP's
+            cameras.txt, a 3x3 matrix (.npy, .txt, .json), a sidecar. Photos resized from its size are fine; others of
+            another size fail.
+        fov_x: field of view of all photos, degrees from the left to the right border.
+        fov_y: field of view of all photos, degrees from the top to the bottom border.
+        fov_diagonal: field of view of all photos, degrees from corner to corner.
+        focal_px: focal length in pixels of photos of the size of the first.
+        intrinsics: focal lengths and principal point in pixels of photos of the size of the first; the centre of the
+            top left pixel is at (0, 0).
+        focal_correction: multiply depth by the photo's focal length over that of the training photos. "model" does so
+            where the model was trained in one canonical camera, and where the camera is given by an option.
+        calibration: file of `zoedepth calibrate`; photos of another camera, model or scene type fail.
         relative: write relative depth instead (inverse depth without a unit): NAME_relative.png, the nearest is 65535.
             Models without a metric head (MiDaS) give nothing else. Models with one were not trained to keep it right.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
@@ -81,23 +111,25 @@ def predict(
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
         device: cpu, cuda, mps, or auto for the best there is.
         precision: bfloat16 is faster on hardware made for it.
-        workers: photos computed at the same time, each from file to files. 0: as many as there are cores. Each needs
-            memory of its own: give 1 for large models where there is little.
+        workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
+            needs memory of its own: give 1 for large models where there is little.
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
-            max in metres), domain, seconds and error.
+            max in metres), domain, camera, focal_correction, calibration, seconds and error.
     """
     console = Console(stderr=True, highlight=False)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out} is a file: give a folder")
-    if workers < 0:
-        raise InputError(f"--workers must be 0 or more, got {workers}")
+    if workers is not None and workers < 0:
+        raise InputError(f"--workers must be 1 or more, got {workers}")
     options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
+
+    corrections = None if calibration is None else read_calibration(calibration)
 
     def request(*, relative: bool) -> Request:
         names = save or ("relative" if relative else "depth", "preview")
         names = tuple(name for name in dict.fromkeys(names) if preview or name != "preview")
-        return Request(model, names, options, domain=domain, relative=relative)
+        return Request(model, names, options, domain=domain, relative=relative, calibration=corrections)
 
     wanted = request(relative=relative)
     found = find_photos(sources, out)
@@ -111,26 +143,43 @@ def predict(
         searched = ", ".join(sources) or "no source given"
         console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
         return EXIT_NOTHING_TO_DO
+    known_camera = chosen_camera(
+        [photo.path for photo in found.photos],
+        camera=camera,
+        fov_x=fov_x,
+        fov_y=fov_y,
+        fov_diagonal=fov_diagonal,
+        focal_px=focal_px,
+        intrinsics=intrinsics,
+    )
+    if relative and (known_camera != "exif" or focal_correction == "yes"):
+        raise InputError("relative depth has no metres: leave out the camera, and --focal-correction yes")
     check_writable(out, option="--out")
     if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
         raise InputError(
             reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"
         )
 
-    # Threads shall wait for each other asleep: awake, they keep the processor from those that have work to do.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
     from zoedepth.weights.load import load_model
 
-    workers = min(workers or cpu_count(), len(found.photos))
+    workers = min(workers or cpu_count(), len(found.photos))  # 0 once stood for all cores
     with share_cores(workers):
         with download_progress() as progress:
             network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
         if not network.config.domains:
             wanted = request(relative=True)
         padded = None if pad == "model" else pad == "yes"
-        predictor = Predictor(network, flip_average=flip, pad=padded, device=device, precision=precision)
+        predictor = Predictor(
+            network,
+            flip_average=flip,
+            pad=padded,
+            device=device,
+            precision=precision,
+            camera=known_camera,
+            focal_correction=None if focal_correction == "model" else focal_correction == "yes",
+        )
         if domain is not None:
             predictor.domain_index(domain)
         return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)

@@ -49,8 +49,8 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
 
     Args:
         known: a ``Camera`` of this size is returned as it is, and one of another size is resized where the proportions
-            are the same, to a pixel. ``Intrinsics`` are in pixels of the photo, and are not changed. A ``Lens`` looks
-            through the middle of the photo.
+            are the same, to a pixel; one that looks through the middle may be turned, too. ``Intrinsics`` are in pixels
+            of the photo, and are not changed. A ``Lens`` looks through the middle of the photo.
         size: (height, width) of the photo.
 
     Raises:
@@ -65,8 +65,11 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
     if _same_proportions(known.size, size):
         return known.resized(size)
     height, width = known.size
+    turned = known.rotated(1)
+    if _same_proportions(turned.size, size) and turned == known.rotated(3):  # whichever way it was turned
+        return turned.resized(size)
     claim = f"the camera is of photos of {width} x {height} pixels, and the photo has {size[1]} x {size[0]}"
-    if _same_proportions((width, height), size):
+    if _same_proportions(turned.size, size):
         raise InputError(f"{claim}: one of them is turned. Turn the camera with Camera.rotated, or the photo")
     raise InputError(
         f"{claim}, of other proportions, so it was cropped: give the camera of the cropped photo (Camera.cropped)"

@@ -1,0 +1,91 @@
+"""The camera of photos as the command line says it, for all commands that predict photos."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.geometry.camera_files import read_camera
+from zoedepth.geometry.lens import Lens, camera_of
+from zoedepth.images import read_image
+
+if TYPE_CHECKING:
+    from zoedepth.predict import CameraChoice
+
+
+def chosen_camera(
+    photos: Sequence[Path],
+    *,
+    camera: str | None,
+    fov_x: float | None,
+    fov_y: float | None,
+    fov_diagonal: float | None,
+    focal_px: float | None,
+    intrinsics: tuple[float, float, float, float] | None,
+) -> "CameraChoice":
+    """Return the camera that the options say.
+
+    What is in pixels and has no size of its own, is of photos of the size of the first that can be read.
+
+    Args:
+        photos: the photos, in their order.
+        camera: --camera: "exif", "none" or a file; None is "exif".
+        fov_x: --fov-x, degrees.
+        fov_y: --fov-y, degrees.
+        fov_diagonal: --fov-diagonal, degrees.
+        focal_px: --focal-px, pixels.
+        intrinsics: --intrinsics, fx, fy, cx and cy in pixels.
+
+    Raises:
+        InputError: several of them are given, one has a value that no camera has, or the file cannot be read.
+    """
+    given = {
+        "--camera": camera,
+        "--fov-x": fov_x,
+        "--fov-y": fov_y,
+        "--fov-diagonal": fov_diagonal,
+        "--focal-px": focal_px,
+        "--intrinsics": intrinsics,
+    }
+    names = [name for name, value in given.items() if value is not None]
+    if len(names) > 1:
+        raise InputError(f"{' and '.join(names)} each say the camera: give one of them")
+    if camera == "none":
+        return "none"
+    if camera not in (None, "exif"):
+        if not Path(camera).is_file():
+            raise InputError(f"--camera must be exif, none or a file of a camera; there is no file {camera!r}")
+        return read_camera(Path(camera), _size_of_first(photos))
+    if intrinsics is not None:
+        return _middle_looking(camera_of(Intrinsics(*intrinsics), _size_of_first(photos)))
+    if focal_px is not None:
+        return Camera.from_focal(focal_px, _size_of_first(photos))
+    if names and camera is None:
+        return Lens(fov_x=fov_x, fov_y=fov_y, fov_diagonal=fov_diagonal)
+    return "exif"
+
+
+def _size_of_first(photos: Sequence[Path]) -> tuple[int, int]:
+    """Return the (height, width) of the first photo that can be read."""
+    failures = []
+    for photo in photos:
+        try:
+            height, width, _ = read_image(photo, photo=False).shape
+        except InputError as error:
+            failures.append(error)
+        else:
+            return height, width
+    raise failures[0]
+
+
+def _middle_looking(camera: Camera) -> Camera:
+    """Refuse intrinsics that were most likely made for photos of another size."""
+    for name, value, side in (("cx", camera.cx, camera.size[1]), ("cy", camera.cy, camera.size[0])):
+        if not side / 4 <= value + 0.5 <= side * 3 / 4:
+            raise InputError(
+                f"--intrinsics has {name} = {value:g}, far from the middle of a photo of {camera.size[1]} x "
+                f"{camera.size[0]} pixels. Are they of photos of another size, or was this one cropped? Write the size "
+                "and the intrinsics to a file, and give it by --camera"
+            )
+    return camera
