@@ -47,8 +47,10 @@ def test_range() -> None:
     for vmin, vmax in ((5.0, 1.0), (2.0, 2.0), (np.nan, 1.0)):
         with pytest.raises(InputError, match="vmin must be below vmax"):
             depth_range(RAMP, vmin=vmin, vmax=vmax)
-    with pytest.raises(InputError, match="jet"):
+    with pytest.raises(InputError, match="no colour map 'jet'; there are magma"):
         colorize(RAMP, colormap="jet")
+    with pytest.raises(InputError, match=r"no colour map 'magm_r': did you mean magma_r"):
+        colorize(RAMP, colormap="magm_r")
 
 
 @pytest.mark.parametrize(("vmin", "vmax"), [(0.5, 9.7), (3.0, 3.0001), (1e-3, 1e-2), (0.0, 80.0), (2.999, 1234.0)])

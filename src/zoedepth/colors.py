@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, no_such
 from zoedepth.images import ImageArray
 
 COLORMAPS = ("magma", "turbo", "gray", "Spectral")
@@ -41,7 +41,7 @@ def colorize(
         colormap: one of ``COLORMAPS``, reversed with ``_r`` at its end.
 
     Raises:
-        InputError: unknown colour map.
+        InputError: there is no such colour map.
     """
     vmin, vmax = depth_range(depth, vmin=vmin, vmax=vmax, percentiles=percentiles)
     valid = _valid(depth)
@@ -218,6 +218,6 @@ def _color_tables() -> dict[str, np.ndarray]:
 def _color_table(name: str) -> UInt8[np.ndarray, "256 3"]:
     base = name.removesuffix("_r")
     if base not in COLORMAPS:
-        raise InputError(f"unknown colour map {name!r}: use one of {', '.join(COLORMAPS)}, reversed with _r at the end")
+        raise no_such("colour map", name, [*COLORMAPS, *(f"{known}_r" for known in COLORMAPS)])
     table = _color_tables()[base]
     return table[::-1] if name.endswith("_r") else table
