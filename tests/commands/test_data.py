@@ -109,7 +109,8 @@ def test_every_pair_is_read_if_asked_for(ddad: Path, capsys: pytest.CaptureFixtu
         write_photo(ddad / f"ddad_val/{number}_rgb.png", (2, 2))
         np.save(ddad / f"ddad_val/{number}_depth.npy", np.ones((2, 2)))
     assert json.loads(run(capsys, "check", "ddad", ddad, "--json"))["read"] == 50
-    assert json.loads(run(capsys, "check", "ddad", ddad, "--json", "--every"))["read"] == 60
+    for option in ("--full", "--every"):  # the second is the older word
+        assert json.loads(run(capsys, "check", "ddad", ddad, "--json", option))["read"] == 60
 
 
 def test_sheet_is_a_picture(ddad: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -53,7 +53,12 @@ def test_typed_again_it_does_nothing_more(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("options", "word"),
-    [(["--shard-size", "big"], "500MB"), (["--name", "a/b"], "letters"), (["--split", "x"], "x.csv")],
+    [
+        (["--shard-size", "big"], "500MB"),
+        (["--name", "a/b"], "letters"),
+        (["--split", "x"], "x.csv"),
+        (["--workers", "-1"], "--workers must be 1 or more"),
+    ],
 )
 def test_wrong_options_write_nothing(tmp_path: Path, options: list[str], word: str) -> None:
     write_pairs(tmp_path / "pairs", n=1, size=(8, 12)).with_name("x").mkdir()

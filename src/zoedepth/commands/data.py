@@ -82,7 +82,7 @@ def check(
     *,
     split: str | None = None,
     sheet: Path | None = None,
-    every: bool = False,
+    full: Annotated[bool, tyro.conf.arg(aliases=["--every"])] = False,
     depth_scale: float | None = None,
     domain: str | None = None,
     root: Path | None = None,
@@ -100,7 +100,7 @@ def check(
         split: a split of the data set, or the list in your own folder; without it the first, which is train if there is
             one.
         sheet: write a picture of some pairs to this .jpg, .png or .webp.
-        every: read every pair instead of 50.
+        full: read every pair instead of 50, as finetune --check full does.
         depth_scale: the stored value of one metre, where the data does not say it.
         domain: scene type, where the data does not say it.
         root: the folder that the paths of a list are relative to; without it that of the list.
@@ -128,7 +128,7 @@ def check(
     console = Console(stderr=True, highlight=False)
     report = check_data(
         dataset,
-        every=every,
+        every=full,
         track=lambda indices: track(indices, "reading", console=console),
         looking=Ticker("looking at files", console.print),
     )

@@ -18,7 +18,7 @@ def shard(
     depth_scale: float | None = None,
     domain: str | None = None,
     root: Path | None = None,
-    workers: int = 0,
+    workers: int | None = None,
 ) -> int:
     """Write data as WebDataset shards: a few large files in place of many small ones, fast to copy and to read.
 
@@ -34,7 +34,7 @@ def shard(
         depth_scale: the stored value of one metre, where the source does not say it.
         domain: scene type, where the source does not say it.
         root: the folder that the paths of a list are relative to; without it that of the list.
-        workers: extra processes that read and pack; 0 does everything in one.
+        workers: processes that read and pack samples; without it the one that writes them does it.
     """
     from rich.console import Console
 
@@ -44,6 +44,8 @@ def shard(
     from zoedepth.shards.writer import ShardSize, write_shards
 
     size = ShardSize.parse(shard_size)
+    if workers is not None and workers < 0:
+        raise InputError(f"--workers must be 1 or more, got {workers}")
     check_writable(out, option="OUT")
     if not (out / INDEX_FILE).exists() and (others := sorted(out.glob(f"{name or 'data'}-*.tar"))):
         raise InputError(
@@ -57,7 +59,7 @@ def shard(
         out,
         name=name or "data",
         size=size,
-        workers=workers,
+        workers=workers or 0,
         track=lambda samples, first: track(samples, "shards", total=len(dataset), first=first, console=console),
     )
     console.print(f"{len(dataset)} samples in {len(index.shards)} shards", markup=False)
