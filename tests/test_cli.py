@@ -233,6 +233,15 @@ def test_user_without_a_home_has_a_place_for_downloads(
     assert os.environ["XDG_CACHE_HOME"].startswith(tempfile.gettempdir()), "other libraries use it, too"
 
 
+def test_threads_wait_asleep_unless_the_user_says_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    assert main(["models"]) == 0
+    assert os.environ["OMP_WAIT_POLICY"] == "ACTIVE"
+    monkeypatch.delenv("OMP_WAIT_POLICY")
+    assert main(["models"]) == 0
+    assert os.environ["OMP_WAIT_POLICY"] == "PASSIVE"
+
+
 def test_warnings_are_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def warn(words: Sequence[str]) -> int:
         sys.stderr.write(warnings.formatwarning("the photo\nis dark", UserWarning, "file.py", 3))

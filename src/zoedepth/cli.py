@@ -193,6 +193,9 @@ def _run(arguments: Sequence[str]) -> int:
     if name not in COMMANDS:
         raise no_such("command", name, COMMANDS)
     _give_a_cache()
+    # Threads shall wait for each other asleep: awake, they keep the processor from those that have work to do, such as
+    # the processes that read the samples of a training. torch reads it when it is imported.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     command = COMMANDS[name]
     function = command.load()
     if command.reads_itself:
