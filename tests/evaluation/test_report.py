@@ -23,6 +23,7 @@ from zoedepth.evaluation.protocols import OUTDOOR
 from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, write_picture, write_report
 from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.evaluation.tables import report_tables
+from zoedepth.outputs.ownership import has_own_mark
 
 PROTOCOLS = {"indoor": EVERYWHERE}
 
@@ -295,6 +296,7 @@ def test_plot_is_a_png_of_all_sources(summaries: list[Summary], tmp_path: Path) 
     assert one.shape == two.shape
     assert (one != two).any()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.png", "two.png"]
+    assert has_own_mark(tmp_path / "one.png"), "it is no photo"
 
 
 def test_equal_curves_are_both_seen(tmp_path: Path) -> None:

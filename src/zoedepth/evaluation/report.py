@@ -19,7 +19,7 @@ from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, scored_pixels
 from zoedepth.evaluation.summary import Summary
 from zoedepth.evaluation.tables import ReportTable
-from zoedepth.images import ImageArray, atomic_path, to_image, write_image
+from zoedepth.images import OWN_MARK, ImageArray, atomic_path, to_image, write_image
 from zoedepth.stored import readable, to_json
 
 ERROR_LIMIT = 50.0
@@ -222,7 +222,7 @@ def error_by_depth(summaries: Sequence[Summary], path: Path) -> None:
     bottom.set_xlabel("true depth, metres")
     bottom.set_xticks(positions, names)
     with atomic_path(path) as part:
-        figure.savefig(part, dpi=150, format="png")
+        figure.savefig(part, dpi=150, format="png", metadata={"Software": OWN_MARK})
 
 
 def write_picture(path: Path, picture: ImageArray) -> None:
