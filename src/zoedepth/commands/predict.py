@@ -12,15 +12,13 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from zoedepth.batch import Found, Outcome, Request, blocked, cpu_count, find_photos, predict_all, share_cores
-from zoedepth.calibration import read_calibration
-from zoedepth.commands.cameras import chosen_camera
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.outputs import OUTPUTS, Options
 from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
+    from zoedepth.batch import Found, Outcome, Request
     from zoedepth.predict import Predictor
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
@@ -116,6 +114,10 @@ def predict(
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
             max in metres), domain, camera, focal_correction, calibration, seconds and error.
     """
+    from zoedepth.batch import Request, blocked, cpu_count, find_photos, share_cores
+    from zoedepth.calibration import read_calibration
+    from zoedepth.commands.cameras import chosen_camera
+
     console = Console(stderr=True, highlight=False)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
     if out.exists() and not out.is_dir():
@@ -185,8 +187,11 @@ def predict(
         return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)
 
 
-def _run(found: Found, predictor: "Predictor", wanted: Request, *, workers: int, console: Console, json_: bool) -> int:
+def _run(
+    found: "Found", predictor: "Predictor", wanted: "Request", *, workers: int, console: Console, json_: bool
+) -> int:
     """Predict all photos under a progress bar, and tell how it went."""
+    from zoedepth.batch import predict_all
     from zoedepth.commands.progress import track
 
     n_written, failures, notes = 0, list(found.failures), Counter[str]()
@@ -223,12 +228,12 @@ def _run(found: Found, predictor: "Predictor", wanted: Request, *, workers: int,
     return code or (EXIT_FAILED if failures else 0)
 
 
-def _tell_left_out(found: Found, console: Console) -> None:
+def _tell_left_out(found: "Found", console: Console) -> None:
     for reason, number in found.left_out.items():
         console.print(f"left out ({number}): {escape(reason)}", soft_wrap=True)
 
 
-def _print_outcome(outcome: Outcome) -> None:
+def _print_outcome(outcome: "Outcome") -> None:
     photo, sidecar = outcome.photo, outcome.sidecar
     if outcome.failure is not None:
         return _print_json(str(photo.path), error=outcome.failure.removeprefix(f"{photo.path}: "))
