@@ -15,8 +15,8 @@ from zoedepth.geometry.lens import camera_of
 from zoedepth.stored import MAX_NESTING, parse_json, read_npy, read_text
 
 _UNDISTORT = (
-    "undistort the photo first, e.g. by cv2.undistort, ROS's image_proc or colmap image_undistorter, and give the camera "
-    "of the result"
+    "undistort the photo first, e.g. by cv2.undistort, ROS's image_proc or colmap image_undistorter, and give the "
+    "camera of the result"
 )
 _MAX_FOV = 170.0  # degrees
 _MAX_SIDE = 1e6  # pixels
@@ -98,15 +98,15 @@ def read_camera(path: str | Path, size: tuple[int, int]) -> Camera:
             raise InputError(f"it {stated.objection}: {_UNDISTORT}")
         if stated.source == "assumed":
             raise InputError(
-                "its camera was only assumed, when nobody knew it, and is no more than a guess. Say what you know, e.g. "
-                "the field of view"
+                "its camera was only assumed, when nobody knew it, and is no more than a guess. Say what you know "
+                "instead, e.g. the field of view"
             )
         camera = Camera.of(stated.intrinsics, stated.size or size, source=stated.source)
         _check_plausible(camera, size_is_known=stated.size is not None)
         return camera_of(camera, size)
     except InputError as error:
         message = str(error)
-        raise InputError(message if message.startswith(str(path)) else f"{path}: {message}") from error
+        raise InputError(message if str(path) in message else f"{path}: {message}") from error
 
 
 def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:
@@ -115,13 +115,14 @@ def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:
     if max(camera.fov_x, camera.fov_y) > _MAX_FOV:
         raise InputError(
             f"focal lengths of {camera.fx:g} and {camera.fy:g} pixels are a field of view of {camera.fov_x:.4g} x "
-            f"{camera.fov_y:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply them "
-            "and the principal point by its width and height"
+            f"{camera.fov_y:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply "
+            "them and the principal point by its width and height"
         )
     if not size_is_known and not (-_HALF <= camera.cx <= width - _HALF and -_HALF <= camera.cy <= height - _HALF):
         raise InputError(
-            f"the principal point, ({camera.cx:g}, {camera.cy:g}), is outside of the photo of {width} x {height} pixels, "
-            "so this is the camera of a photo of another size. Write it as JSON, with fx, fy, cx, cy, width and height"
+            f"the principal point, ({camera.cx:g}, {camera.cy:g}), is outside of the photo of {width} x {height} "
+            "pixels, so this is the camera of a photo of another size. Write it as JSON, with fx, fy, cx, cy, width "
+            "and height"
         )
 
 
@@ -182,8 +183,8 @@ def _one_of(found: list[_Stated], size: tuple[int, int]) -> _Stated:
         sizes = [f"{stated.size[1]} x {stated.size[0]}" for stated in found[:_MOST_NAMED] if stated.size]
         more = ", ..." * (len(found) > _MOST_NAMED)
         raise InputError(
-            f"it has {len(found)} cameras, for photos of {', '.join(sizes)}{more}, and nothing tells which of them took "
-            f"this one of {size[1]} x {size[0]}: leave only its line in a copy of the file"
+            f"it has {len(found)} cameras, for photos of {', '.join(sizes)}{more}, and nothing tells which of them "
+            f"took this one of {size[1]} x {size[0]}: leave only its line in a copy of the file"
         )
     return fitting.pop()
 
@@ -195,11 +196,11 @@ def _colmap_camera(row: list[str]) -> _Stated:
     n_focals, n_numbers = _COLMAP_MODELS.get(model, (0, len(row) - 4))
     if size is None or len(row) != 4 + n_numbers:
         raise InputError(
-            f"its line of camera {name} is none of COLMAP's: CAMERA_ID, MODEL, WIDTH, HEIGHT and as many numbers as the "
-            "model has"
+            f"its line of camera {name} is none of COLMAP's: CAMERA_ID, MODEL, WIDTH, HEIGHT and as many numbers as "
+            "the model has"
         )
     if not n_focals:
-        return _Stated(Intrinsics(1, 1, 0, 0), size, objection=f"has lens distortion, by its model {model}")
+        return _Stated(Intrinsics(1, 1, 0, 0), size, objection=_other_model(model))
     numbers = _numbers(row[4:])
     cx, cy, *distortion = numbers[n_focals:]
     # The focal length of models with one stands for both.
@@ -218,14 +219,12 @@ def _of_keys(values: Mapping[str, Any]) -> _Stated:
     models = [str(known[key]) for key in _MODELS if key in known]
     curved = [model for model in models if _plain(model).removeprefix("distortion") not in _PLAIN_MODELS]
     if curved:
-        objection = f"has lens distortion, by its model {curved[0][:40]}"
+        objection = _other_model(curved[0])
     else:
         objection = _objection([number for key in _DISTORTIONS if key in known for number in _flat(known[key])])
     size = _size_in(known)
-    source = known.get("source")
-    return _Stated(
-        _intrinsics_in(known, size), size, source if source in get_args(CameraSource) else "given", objection
-    )
+    source = known["source"] if known.get("source") in get_args(CameraSource) else "given"
+    return _Stated(_intrinsics_in(known, size), size, source, objection)
 
 
 def _intrinsics_in(known: Mapping[str, Any], size: tuple[int, int] | None) -> Intrinsics:
@@ -269,6 +268,10 @@ def _sides(width: float, height: float) -> tuple[int, int]:
     if not (1 <= width <= _MAX_SIDE and 1 <= height <= _MAX_SIDE and width == int(width) and height == int(height)):
         raise InputError(f"its photos would have {width:g} x {height:g} pixels, which is nonsense")
     return int(height), int(width)
+
+
+def _other_model(name: str) -> str:
+    return f"has the camera model {name[:40]}, which is not that of a pinhole camera"
 
 
 def _objection(distortion: Sequence[float]) -> str:

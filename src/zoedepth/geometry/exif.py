@@ -77,7 +77,7 @@ def _focal(notes: PhotoNotes, size: tuple[int, int]) -> tuple[float, str]:
     if not notes.tags:
         raise _Unknown(f"its EXIF is damaged ({notes.damage})" if notes.damage else "it has no EXIF")
     _refuse_other_projections(notes)
-    now = size[::-1] if notes.orientation < 5 else size  # (width, height) as stored
+    now = (size[1], size[0]) if notes.orientation < 5 else size  # width and height as they are stored
     taken = _size_taken(notes) or now
     if max(taken) > _MAX_SHAPE * min(taken):
         raise _Unknown(f"it has {taken[0]} x {taken[1]} pixels, the shape of a panorama or a strip")
@@ -157,8 +157,8 @@ def _resolution(notes: PhotoNotes) -> float:
     """Return the pixels per millimetre on the sensor."""
     across = _number(notes, _TAGS.FocalPlaneXResolution, "focal plane's resolution", "")
     unit = notes.tags.get(_TAGS.FocalPlaneResolutionUnit, _INCH)
-    if unit not in _UNITS:
-        raise _Unknown(f"its focal plane's resolution has the unit {unit}, which EXIF does not know")
+    if not isinstance(unit, int) or unit not in _UNITS:
+        raise _Unknown(f"its focal plane's resolution has the unit {_shown(unit)}, which EXIF does not know")
     try:
         down = _number(notes, _TAGS.FocalPlaneYResolution, "focal plane's resolution", "")
     except (_Unsaid, _Unknown):
@@ -210,9 +210,10 @@ def _since_taken(taken: tuple[int, int], now: tuple[int, int]) -> tuple[float, s
     said = f"{taken[0]} x {taken[1]} pixels when it was taken"
     cropped = _is_cropped(taken, now)
     # Programs that turn a photo upright often leave the sides as they were said.
-    if _is_resized(taken, now) or (_is_resized(taken[::-1], now) and not cropped):
+    turned = (taken[1], taken[0])
+    if _is_resized(taken, now) or (_is_resized(turned, now) and not cropped):
         return math.hypot(*now) / math.hypot(*taken), f", and it had {said}"
-    if not _is_resized(taken[::-1], now) and (cropped or _is_cropped(taken[::-1], now)):
+    if not _is_resized(turned, now) and (cropped or _is_cropped(turned, now)):
         return 1.0, f", and it was cropped: it had {said}"
     raise _Unknown(f"it has {now[0]} x {now[1]} pixels and had {said}, and nobody can tell how much it was resized")
 
