@@ -1,6 +1,8 @@
 """A mesh of what a camera sees: triangles between neighbouring pixels of one surface."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
@@ -10,6 +12,9 @@ from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.jumps import flying_pixels, jumps
 from zoedepth.geometry.normals import estimate_normals
 from zoedepth.geometry.points import check_size, known_depth, unproject
+
+_SIMPLIFYING = Lock()  # fast-simplification keeps the mesh that it works on in one place for the whole process
+_FEWEST = 32  # pixels of the shorter side that are kept, however few triangles are asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +46,8 @@ def build_mesh(
         depth: metres along the optical axis; a pixel without a finite number above 0 is left out.
         camera: the camera at the size of the depth map.
         valid: pixels to take; None takes all that are no flying pixels.
-        max_triangles: fewer triangles than one or two for each pixel: see ``simplify``. None keeps all.
+        max_triangles: fewer triangles than one or two for each pixel: see ``simplify``. A depth map of more pixels is
+            taken at every second one, third one, and so on, first. None keeps all.
 
     Raises:
         InputError: the camera or ``valid`` is of another size, or ``max_triangles`` is below 1.
@@ -52,20 +58,31 @@ def build_mesh(
         valid = ~flying_pixels(depth, camera)
     if valid.shape != depth.shape:
         raise InputError(f"valid has shape {valid.shape} and the depth {depth.shape}: give them the same size")
+    step, top, left = _step(depth.shape, max_triangles)
+    depth, valid = depth[top::step, left::step], valid[top::step, left::step]
+    # The camera that sees no other pixels than those.
+    seen = replace(
+        camera,
+        size=depth.shape,
+        fx=camera.fx / step,
+        fy=camera.fy / step,
+        cx=(camera.cx - left) / step,
+        cy=(camera.cy - top) / step,
+    )
     taken = valid & known_depth(depth)
-    faces = _faces(depth, taken, camera)
+    faces = _faces(depth, taken, seen)
     used = np.zeros(depth.size, bool)
     used[faces] = True
     places = np.flatnonzero(used)
     number = np.zeros(depth.size, np.int32)
     number[places] = np.arange(len(places), dtype=np.int32)
-    height, width = depth.shape
-    uv = np.stack([(places % width + 0.5) / width, (places // width + 0.5) / height], axis=1).astype(np.float32)
+    row, column = top + step * (places // depth.shape[1]), left + step * (places % depth.shape[1])
+    height, width = camera.size
     mesh = Mesh(
-        vertices=unproject(depth, camera).reshape(-1, 3)[places],
+        vertices=unproject(depth, seen).reshape(-1, 3)[places],
         faces=number[faces],
-        uv=uv,
-        normals=estimate_normals(np.where(taken, depth, np.nan), camera).reshape(-1, 3)[places],
+        uv=np.stack([(column + 0.5) / width, (row + 0.5) / height], axis=1).astype(np.float32),
+        normals=estimate_normals(np.where(taken, depth, np.nan), seen).reshape(-1, 3)[places],
         camera=camera,
     )
     return mesh if max_triangles is None else simplify(mesh, max_triangles)
@@ -78,15 +95,15 @@ def simplify(mesh: Mesh, max_triangles: int) -> Mesh:
         InputError: ``max_triangles`` is below 1.
         MissingExtraError: fast-simplification is not installed.
     """
-    if max_triangles < 1:
-        raise InputError(f"a mesh has at least 1 triangle, got max_triangles={max_triangles}")
+    _check(max_triangles)
     if len(mesh.faces) <= max_triangles:
         return mesh
     try:
         import fast_simplification
     except ImportError as error:
         raise MissingExtraError("mesh", "simplifying a mesh") from error
-    vertices, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=max_triangles)
+    with _SIMPLIFYING:
+        vertices, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=max_triangles)
     vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
     place = mesh.camera.project(vertices.astype(np.float64)) + 0.5
     uv = (place / (mesh.camera.size[1], mesh.camera.size[0])).astype(np.float32)
@@ -104,6 +121,23 @@ def vertex_normals(
     ], axis=1)  # fmt: skip
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return (total / np.where(length > 0, length, 1)).astype(np.float32)
+
+
+def _check(max_triangles: int) -> None:
+    if max_triangles < 1:
+        raise InputError(f"a mesh has at least 1 triangle, got max_triangles={max_triangles}")
+
+
+def _step(size: tuple[int, ...], max_triangles: int | None) -> tuple[int, int, int]:
+    """Return how many pixels apart those are that the mesh is made of, and the first row and column.
+
+    Of a grid of as many pixels as there may be triangles ``simplify`` leaves half, where the surface is not flat.
+    """
+    if max_triangles is None:
+        return 1, 0, 0
+    _check(max_triangles)
+    step = min(math.ceil(math.sqrt(size[0] * size[1] / max_triangles)), max(1, min(size) // _FEWEST))
+    return step, (size[0] - 1) % step // 2, (size[1] - 1) % step // 2
 
 
 def _faces(

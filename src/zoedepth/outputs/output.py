@@ -88,8 +88,8 @@ class Options:
     """Depth of the preview's last colour in metres; None takes it from each photo."""
     colormap: str = "magma_r"
     """Colours of the preview, see ``colors.colorize``."""
-    max_triangles: int | None = 1_000_000
-    """Triangles of a mesh, at most: a GLB of a million takes about 35 MB with the photo. None keeps all."""
+    max_triangles: int | None = 500_000
+    """Triangles of a mesh, at most; None keeps all, one or two for each pixel."""
 
     def __post_init__(self) -> None:
         if self.max_triangles is not None and self.max_triangles < 1:
