@@ -63,10 +63,22 @@ def test_non_commercial_weights_stay_non_commercial():
 
 
 def test_training_adds_data_and_drops_numbers():
-    assert ABOUT.after_training("rooms (4 pairs)") == Provenance(
+    assert ABOUT.after_training({"rooms (4 pairs)": None}) == Provenance(
         "non-commercial research", "rooms (4 pairs); before that: NYU Depth v2, for research"
     )
-    assert Provenance().after_training("rooms").trained_on == "rooms"
+    assert Provenance().after_training({"rooms": None, "halls": "cc-by-4.0"}).trained_on == "rooms, halls: cc-by-4.0"
+
+
+def test_terms_of_the_data_bind_the_weights():
+    kitti = {"kitti (9 pairs)": "CC BY-NC-SA 3.0", "rooms (2 pairs)": "mit", "nyu (3 pairs)": "custom, research"}
+    for before in (None, "MIT"):
+        after = Provenance(before).after_training(kitti)
+        assert after.licence == "non-commercial, as the training data: CC BY-NC-SA 3.0, custom, research"
+        with pytest.raises(InputError, match="stay non-commercial"):
+            after.with_licence("mit")
+    assert ABOUT.after_training(kitti).licence == ABOUT.licence
+    assert Provenance("MIT").after_training({"rooms": "CC BY 4.0", "halls": None}).licence == "MIT"
+    assert Provenance().after_training({"rooms": "CC BY 4.0"}).licence is None
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from zoedepth.errors import InputError
 from zoedepth.stored import parse_json
 
-_NONCOMMERCIAL = re.compile(r"non-?\s?commercial|\bnc\b|research[- ]only|academic", re.IGNORECASE)
+_NONCOMMERCIAL = re.compile(r"non-?\s?commercial|\bnc\b|\bresearch\b|academic", re.IGNORECASE)
 MAX_TEXT = 10_000
 """Letters of a licence or a description, at most: they may come from anyone's file."""
 
@@ -44,10 +44,21 @@ class Provenance:
             )
         return replace(self, licence=licence)
 
-    def after_training(self, data: str) -> "Provenance":
-        """Return the provenance of weights that were trained further on ``data``. Nothing is measured with them yet."""
+    def after_training(self, data: Mapping[str, str | None]) -> "Provenance":
+        """Return the provenance of weights that were trained further. Nothing is measured with them yet.
+
+        Weights carry the terms of their data: where some of it is for non-commercial use, so are they.
+
+        Args:
+            data: description of a data set → its licence, None where nobody says it.
+        """
+        described = ", ".join(name if licence is None else f"{name}: {licence}" for name, licence in data.items())
         before = f"; before that: {self.trained_on}" if self.trained_on else ""
-        return Provenance(self.licence, f"{data}{before}"[:MAX_TEXT])
+        binding = [licence for licence in data.values() if licence and _NONCOMMERCIAL.search(licence)]
+        licence = self.licence
+        if binding and not (licence and _NONCOMMERCIAL.search(licence)):
+            licence = f"non-commercial, as the training data: {', '.join(dict.fromkeys(binding))}"
+        return Provenance(licence, f"{described}{before}"[:MAX_TEXT])
 
     def to_texts(self) -> dict[str, str]:
         """Return texts for the header of a file; what is not known is left out."""

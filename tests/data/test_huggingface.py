@@ -37,6 +37,14 @@ def array(height: int = 2, width: int = 3) -> object:
     return datasets.Array2D((height, width), "float32")
 
 
+def test_licence_is_that_of_its_card(tmp_path: Path) -> None:
+    rows = {"image": [GREY], "depth": [METRES.tolist()]}
+    features = datasets.Features({"image": datasets.Image(), "depth": array()})
+    info = datasets.DatasetInfo(license="cc-by-nc-4.0", features=features)
+    datasets.Dataset.from_dict(rows, features=features, info=info).save_to_disk(tmp_path)
+    assert open_dataset(tmp_path, domain="indoor").licence == "cc-by-nc-4.0"
+
+
 @pytest.mark.parametrize("column", ["depth_map", "depth"])
 @pytest.mark.parametrize("kind", ["tiff", "array", "array 3d", "lists"])
 def test_floats_are_metres_in_every_form(tmp_path: Path, kind: str, column: str) -> None:
@@ -57,6 +65,8 @@ def test_floats_are_metres_in_every_form(tmp_path: Path, kind: str, column: str)
     assert sample.image.unique().tolist() == pytest.approx([128 / 255])
     assert (sample.kind, sample.domain, sample.name) == ("depth", "indoor", "00000001")
     assert (dataset.domains, dataset.kinds) == (["indoor"], ["depth"])
+    assert dataset.files == [Path(tmp_path / "saved/data-00000-of-00001.arrow")], "scores are stamped with their state"
+    assert dataset.licence is None
 
 
 def test_whole_numbers_need_their_unit(tmp_path: Path) -> None:

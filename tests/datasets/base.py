@@ -61,6 +61,7 @@ class DatasetTester(ABC):
             assert sample.target.isfinite().all()
             assert (sample.target[~sample.mask] == 0).all()
             assert sample.kind == dataset.about.kind
+            assert dataset.licence == dataset.about.licence
             if sample.kind == "depth":
                 assert (sample.target[sample.mask] > 0).all()
             assert sample.domain in dataset.domains

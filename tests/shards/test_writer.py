@@ -11,6 +11,7 @@ import torch
 from PIL import Image
 from tests.folders import write_disparity_pairs, write_pairs
 from tests.shards.samples import THREE, Listed, same, sample, there_and_back
+from torch.utils.data import Subset
 
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
@@ -18,6 +19,7 @@ from zoedepth.geometry.camera import Intrinsics
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.shards.writer import ShardSize, whole_numbers, write_shards
+from zoedepth.train.run import licence_of
 
 
 class TestThereAndBack:
@@ -63,6 +65,13 @@ class TestThereAndBack:
         ]
         samples[3] = replace(samples[3], target=torch.tensor([[[-1.5, 0.0, 0.0]]]))
         assert all(same(*two) for two in zip(there_and_back(tmp_path, samples), samples, strict=True))
+
+    def test_licence_goes_with_the_data_and_with_what_is_trained_on_it(self, tmp_path: Path):
+        samples = Listed([sample([[1.0]])])
+        assert licence_of(samples) is None
+        samples.licence = "CC BY-NC-SA 3.0"
+        write_shards(samples, tmp_path, name="data", size=THREE)
+        assert licence_of(Subset(ShardDataset(tmp_path), [0])) == "CC BY-NC-SA 3.0"
 
     @pytest.mark.parametrize("orientation", [1, 3, 6])
     def test_photos_that_exif_turns(self, tmp_path: Path, orientation: int):

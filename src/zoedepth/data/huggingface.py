@@ -157,6 +157,11 @@ class HuggingFaceDataset(Dataset[Sample]):
         )
 
     @property
+    def licence(self) -> str | None:
+        """The licence of the data, where its card says it."""
+        return self._photos.info.license or None
+
+    @property
     def files(self) -> list[Path]:
         """The files that hold the rows."""
         return [Path(file["filename"]) for file in self._photos.cache_files]

@@ -136,6 +136,11 @@ class PublishedDataset(Dataset[Sample], ABC):
         """Return the camera of a pair's photo at the photo's ``size`` (height, width); None where it is not known."""
         return None
 
+    @property
+    def licence(self) -> str:
+        """The licence of the data, as its publisher states it."""
+        return self.about.licence
+
     def domain_of(self, pair: PairFiles) -> str:
         """Return the scene type of a pair."""
         return self.about.domain

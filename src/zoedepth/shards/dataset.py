@@ -166,6 +166,11 @@ class ShardDataset(Dataset[Sample]):
         return [self._folder / shard.name for shard in self.index.shards]
 
     @property
+    def licence(self) -> str | None:
+        """The licence of the data that was packed, where it was known."""
+        return self.index.licence
+
+    @property
     def domains(self) -> Sequence[str]:
         """The domains that occur."""
         return list(self.index.domains)

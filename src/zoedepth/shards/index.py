@@ -52,6 +52,8 @@ class Index:
     """True if all shards are written."""
     settings: Mapping[str, object] = field(default_factory=dict)
     """The writer's settings, which must be the same to go on after an interruption."""
+    licence: str | None = None
+    """The licence of the data, where it is known."""
 
     def to_json(self) -> str:
         """Return the text of ``index.json``."""
@@ -66,6 +68,7 @@ class Index:
             "domains": list(self.domains),
             "kinds": list(self.kinds),
             "settings": dict(self.settings),
+            **({"licence": self.licence} if self.licence else {}),
             "shards": shards,
         }
         return json.dumps(record, separators=(",", ":"))
@@ -90,7 +93,11 @@ class Index:
             shards = [_parse_shard(entry) for entry in record["shards"]]
             domains = [str(name) for name in record["domains"]]
             kinds: list[Target] = [kind for kind in ("depth", "disparity") if kind in record["kinds"]]
-            return cls(shards, domains, kinds, record["complete"] is True, dict(record["settings"]))
+            licence = record.get("licence")
+            return cls(
+                shards, domains, kinds, record["complete"] is True, dict(record["settings"]),
+                licence if isinstance(licence, str) else None,
+            )  # fmt: skip
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise InputError(f"{where} is damaged, copy it again ({error!r})") from error
 

@@ -105,7 +105,7 @@ def write_shards(
         raise InputError("there are no samples to write: the data set is empty")
     packing = _Packing(dataset)
     settings = {"name": name, "shard_size": [size.bytes, size.samples], "samples": len(dataset)}
-    index = _begun(out, settings, packing)
+    index = replace(_begun(out, settings, packing), licence=getattr(dataset, "licence", None))
     first = sum(map(len, index.shards))
     rest = DataLoader(packing, sampler=range(first, len(dataset)), batch_size=None, num_workers=workers)
     samples = iter(track(_unless_failed(rest), first))

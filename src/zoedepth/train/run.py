@@ -96,7 +96,7 @@ def set_up(
         check_same(finished[-1], config, identity)
         model.provenance = read_checkpoint(finished[-1]).provenance
     else:
-        seen = ", ".join(f"{source.name} ({len(samples)} pairs)" for source, samples in training)
+        seen = {f"{source.name} ({len(tolerant)} pairs)": licence_of(tolerant.samples) for source, tolerant in training}
         model.provenance = model.provenance.after_training(seen)
     if config.gradient_checkpointing:
         model.encoder.checkpoint_gradients()
@@ -148,6 +148,11 @@ def identity_of(opened: Mapping[str, Samples], data: Mapping[str, str | Path], i
         "data_state": {name: data_state(whole[name], str(data[name])) for name in sorted(whole)},
         "init": start_state(init),
     }
+
+
+def licence_of(samples: Samples) -> str | None:
+    """Return the licence of a data set, or of that which a ``Subset`` is of; None where nobody says it."""
+    return getattr(samples.dataset if isinstance(samples, Subset) else samples, "licence", None)
 
 
 def _rescue(run: Run) -> None:
