@@ -4,7 +4,7 @@ from functools import cache
 import pytest
 import torch
 
-from zoedepth.config import BaselineConfig, Domain, DornConfig, ModelConfig
+from zoedepth.config import BaselineConfig, DornConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import BASELINES, ENCODERS, PRESETS, with_compat, with_encoder, with_head
@@ -127,7 +127,7 @@ def test_compat_changes_one_value_each():
     n, k, nk = (PRESETS[f"zoed-m12-{kind}"] for kind in ("n", "k", "nk"))
     assert with_compat(n, []) == n
     assert with_compat(nk, ["batch-vote"]) == replace(nk, router=replace(nk.router, vote="batch"))
-    assert with_compat(k, ["10m"]) == replace(k, domains=(Domain("outdoor", 1e-3, 10.0),))
+    assert with_compat(k, ["10m"]) == replace(k, domains=(replace(k.domains[0], max_depth=10.0),))
     assert with_compat(n, ["squeeze"]) == replace(n, resize="squeeze")
     both = with_compat(nk, ["squeeze", "batch-vote"])
     assert (both.resize, both.router.vote) == ("squeeze", "batch")

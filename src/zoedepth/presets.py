@@ -39,17 +39,33 @@ NYU Depth v2, and those of KITTI (its most frequent camera) after the KB crop.""
 def in_training_cameras(config: ModelConfig) -> ModelConfig:
     """Give the domains indoor and outdoor the focal lengths of NYU and KITTI, as the network of this config sees them.
 
-    Photos are not padded, neither in training nor in the paper's evaluation.
+    Photos are resized as the config says, and not padded, as in the training and the evaluation of the paper.
     """
 
-    def focal(name: str) -> float | None:
-        if name not in TRAINING_CAMERAS:
-            return None
-        focal_px, size = TRAINING_CAMERAS[name]
-        network = network_size(size, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio)
-        return round(network_focal(focal_px, size, network), 2)
+    focal = {name: round(focal_in_network(config, *camera), 2) for name, camera in TRAINING_CAMERAS.items()}
+    return replace(config, domains=tuple(replace(each, focal_px=focal.get(each.name)) for each in config.domains))
 
-    return replace(config, domains=tuple(replace(each, focal_px=focal(each.name)) for each in config.domains))
+
+def focal_in_network(config: AnyModelConfig, focal_px: tuple[float, float], size: tuple[int, int]) -> float:
+    """Return the focal length of a photo as the network of a config sees it, in pixels of its input, without padding.
+
+    Args:
+        config: the config of the model.
+        focal_px: (fx, fy), pixels of the photo.
+        size: (height, width) of the photo.
+    """
+    network = network_size(size, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio)
+    return network_focal(focal_px, size, network)
+
+
+def with_focal_of_size(config: ModelConfig, before: ModelConfig) -> ModelConfig:
+    """Return a config whose size was changed, with the focal lengths that belong to the new size.
+
+    Those of NYU and KITTI at the size of ``before`` become those at the size of ``config``; others stay.
+    """
+    known = set(before.domains) & set(in_training_cameras(before).domains)
+    pairs = zip(config.domains, in_training_cameras(config).domains, strict=True)
+    return replace(config, domains=tuple(new if old in known else old for old, new in pairs))
 
 
 def _beit(name: str, side: int, taps: tuple[int, ...], channels: tuple[int, ...]) -> EncoderConfig:
@@ -89,9 +105,9 @@ _BEIT_L = ENCODERS["beit_large_patch16_384"]
 
 # A model that we train follows the paper; a model with released weights follows the weights. The values in which the
 # two differ are here and in docs/paper.md, and nowhere else.
-_PAPER_N = ModelConfig(_BEIT_L)
-_PAPER_K = ModelConfig(_BEIT_L, domains=(OUTDOOR,), size=(384, 768))
-_PAPER_NK = ModelConfig(_BEIT_L, domains=(INDOOR, OUTDOOR))
+_PAPER_N = in_training_cameras(ModelConfig(_BEIT_L))
+_PAPER_K = in_training_cameras(ModelConfig(_BEIT_L, domains=(OUTDOOR,), size=(384, 768)))
+_PAPER_NK = in_training_cameras(ModelConfig(_BEIT_L, domains=(INDOOR, OUTDOOR)))
 _PAPER_NK_ONE_HEAD = ModelConfig(_BEIT_L, domains=(replace(OUTDOOR, name="any"),))
 
 _RELEASED_N = replace(_PAPER_N, head=AttractorConfig(reduce="mean"))
@@ -119,7 +135,8 @@ def with_encoder(config: ModelConfig, name: str) -> ModelConfig:
     if name not in ENCODERS:
         raise no_such("encoder", name, ENCODERS)
     encoder = ENCODERS[name]
-    return replace(config, encoder=encoder, size=encoder.size if encoder.family == "swin" else config.size)
+    size = encoder.size if encoder.family == "swin" else config.size
+    return with_focal_of_size(replace(config, encoder=encoder, size=size), config)
 
 
 def with_head(config: ModelConfig, name: str) -> ModelConfig:

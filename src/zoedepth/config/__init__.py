@@ -33,6 +33,7 @@ from zoedepth.config.model import (
     EncoderConfig,
     ModelConfig,
     RouterConfig,
+    without_camera,
 )
 
 __all__ = [
@@ -66,4 +67,5 @@ __all__ = [
     "from_dict",
     "model_config_from_dict",
     "to_dict",
+    "without_camera",
 ]

@@ -2,7 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from zoedepth.config.baselines import DornNetworkConfig, NetworkConfig
@@ -236,3 +236,9 @@ class BaselineConfig(_PhotoConfig):
 
 AnyModelConfig = ModelConfig | BaselineConfig
 """The config of any model in this package."""
+
+
+def without_camera(config: AnyModelConfig) -> AnyModelConfig:
+    """Return the config of the same network, which says nothing of the camera that its metres belong to."""
+    domains = tuple(replace(domain, focal_px=None) for domain in config.domains)
+    return replace(config, domains=domains, canonical_camera=False)

@@ -209,11 +209,19 @@ def metadata(model: DepthModel) -> str:
         },
         "postprocessing": "resize predicted_depth to the photo: bicubic; mean with the mirrored photo's, mirrored back",
         "unit": "metre",
+        "camera": _CANONICAL if config.canonical_camera else _ANY_CAMERA,
         "domains": [domain.name for domain in config.domains],
         "licence": about.licence,
         "trained_on": about.trained_on,
         "zoedepth": __version__,
     })  # fmt: skip
+
+
+_CANONICAL = (
+    "predicted_depth is in metres of one camera: multiply it by the photo's focal length in pixels of the network's "
+    "input, and divide it by focal_px of the domain (config)"
+)
+_ANY_CAMERA = "predicted_depth needs no camera; its metres hold for lenses like those that the model was trained with"
 
 
 def _inputs(model: DepthModel, batch: int, size: tuple[int, int]) -> tuple[Tensor, ...]:

@@ -1,9 +1,9 @@
 """The data of a training: which data sets, which pairs are held out, and how samples are augmented."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from torch.utils.data import Dataset, Subset
@@ -72,10 +72,26 @@ def load_sources(
         if too_many(broken, len(dataset)):
             raise InputError(explained(str(data[name]), broken, len(dataset)))
         held = {i: problem for i, problem in broken.items() if i < n_training}
-        training.append((known[name], Tolerant(Subset(dataset, range(n_training)), name=name, broken=held)))
+        part = _part(dataset, range(n_training), known[name])
+        training.append((known[name], Tolerant(part, name=name, broken=held)))
         if config.holdout:
-            validation[name] = Subset(dataset, range(n_training, len(dataset)))
+            validation[name] = _part(dataset, range(n_training, len(dataset)), known[name])
     return training, validation
+
+
+class _WithCamera(Subset[Sample]):
+    """A part of a data set whose photos without a camera are given one of a focal length in their own pixels."""
+
+    def __init__(self, dataset: Dataset[Sample], indices: Sequence[int], focal_px: float) -> None:
+        super().__init__(dataset, indices)
+        self._assume = augment.assume_camera(focal_px)
+
+    def __getitem__(self, idx: Any) -> Sample:
+        return self._assume(super().__getitem__(idx), np.random.default_rng(0))  # it draws nothing
+
+
+def _part(dataset: Dataset[Sample], indices: Sequence[int], source: SourceConfig) -> "Subset[Sample]":
+    return Subset(dataset, indices) if source.focal_px is None else _WithCamera(dataset, indices, source.focal_px)
 
 
 def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
@@ -96,8 +112,7 @@ def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
 def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
     """Return the augmentations of a source's samples, in order."""
     domains = config.model.domains
-    steps = [augment.assume_camera(source.focal_px)] if source.focal_px is not None else []
-    steps += [augment.kitti_crop()] if source.kitti_crop else []
+    steps = [augment.kitti_crop()] if source.kitti_crop else []
     if source.crop == "fit":
         steps.append(
             augment.fit_crop(

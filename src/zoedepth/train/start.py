@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import ModelConfig, without_camera
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
@@ -24,7 +24,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
         source: None keeps the random weights. "imagenet" loads the encoder's ImageNet weights, from an installed
             package if there is one, else timm's, which are downloaded once. Anything else is a name or path for
             ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and decoder are taken
-            from it, and also the heads and the router if both configs are equal.
+            from it, and also the heads and the router if both configs are equal but for the camera.
 
     Returns:
         A description of what was loaded, for the log.
@@ -41,7 +41,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
         raise InputError(f"{source} is an exported file, which cannot be trained: give what it was exported from")
     other = load_model(source)
     model.provenance = other.provenance
-    if other.config == model.config:
+    if without_camera(other.config) == without_camera(model.config):
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"
     if not isinstance(model, ZoeDepth) or not isinstance(other, ZoeDepth):

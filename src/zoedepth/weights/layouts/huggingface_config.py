@@ -9,7 +9,7 @@ from torch import Tensor
 
 from zoedepth.config import INDOOR, AttractorConfig, Domain, ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.presets import PRESETS
+from zoedepth.presets import PRESETS, in_training_cameras
 from zoedepth.weights.layouts import original, shapes
 
 LAYER_NORM_EPS = 1e-6
@@ -59,7 +59,16 @@ def read(
         encoder=shapes.beit(weights, native=_native(backbone), taps=_taps(backbone)),
         attention_heads=attention_heads if isinstance(attention_heads, int) else 4,
     )
-    return _as_released(model, size=size)
+    return _with_focal(_as_released(model, size=size), heads)
+
+
+def _with_focal(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
+    """Give the domains the focal lengths that config.json says; transformers has no such entry, but keeps ours."""
+    said = [
+        _number(entry, "focal_px", 0.0) or domain.focal_px for entry, domain in zip(heads, model.domains, strict=True)
+    ]
+    domains = zip(model.domains, said, strict=True)
+    return replace(model, domains=tuple(replace(domain, focal_px=focal_px) for domain, focal_px in domains))
 
 
 def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
@@ -78,7 +87,7 @@ def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelCo
             stacklevel=2,
         )
         model = replace(model, domains=released.domains)
-    return replace(model, size=size or released.size)
+    return in_training_cameras(replace(model, size=size or released.size))
 
 
 def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, Any]) -> None:
@@ -190,8 +199,10 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
                 "n_bins": head.n_bins,
                 "min_depth": domain.min_depth,
                 "max_depth": domain.max_depth,
+                # Not transformers': it is ours, where it is not that of the published models.
+                **({} if domain.focal_px in (None, published.focal_px) else {"focal_px": domain.focal_px}),
             }
-            for domain in config.domains
+            for domain, published in zip(config.domains, in_training_cameras(config).domains, strict=True)
         ],
         "torch_dtype": "float32",
     }

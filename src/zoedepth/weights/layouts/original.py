@@ -136,6 +136,7 @@ def refusals(config: ModelConfig) -> list[str]:
         "probability": (head.probability, released.probability),
         "attractor ratio": (head.attractor_ratio and head.centers == "normed", False),
         "antialias": (config.antialias, False),
+        "canonical camera": (config.canonical_camera, False),
     }
     if len(config.domains) > 1:
         values |= {

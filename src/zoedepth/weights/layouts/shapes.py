@@ -16,7 +16,7 @@ from zoedepth.config import (
 )
 from zoedepth.errors import InputError
 from zoedepth.model.beit import PATCH
-from zoedepth.presets import ENCODERS
+from zoedepth.presets import ENCODERS, in_training_cameras
 from zoedepth.weights.layouts.keys import Table
 
 Weights = Mapping[str, Tensor]
@@ -31,7 +31,7 @@ def model(
     encoder: EncoderConfig | None = None,
     attention_heads: int = 4,
 ) -> ModelConfig:
-    """Return the config of a whole model with the given scene types.
+    """Return the config of a whole model with the given scene types, whose metres are taken to be NYU's and KITTI's.
 
     Args:
         weights: weights under our names.
@@ -42,13 +42,15 @@ def model(
     Raises:
         InputError: a weight that tells something is missing, or no such model exists.
     """
-    return ModelConfig(
-        encoder or beit(weights),
-        decoder=decoder(weights),
-        head=head,
-        router=router(weights, attention_heads=attention_heads) if len(domains) > 1 else RouterConfig(),
-        domains=domains,
-        size=size,
+    return in_training_cameras(
+        ModelConfig(
+            encoder or beit(weights),
+            decoder=decoder(weights),
+            head=head,
+            router=router(weights, attention_heads=attention_heads) if len(domains) > 1 else RouterConfig(),
+            domains=domains,
+            size=size,
+        )
     )
 
 
