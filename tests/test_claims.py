@@ -105,6 +105,8 @@ BOMBS = {
     "dib ends of lines": (bmp(5770, b"\1\0\0\0" * 5770 + b"\0\1", file_header=False), "packed by runs"),
     "ppm header": (b"P6\n" + b"#a\n" * 1_000_000 + b"8 8 255\n" + bytes(192), "header is longer"),
     "ppm comments": (b"P3 8 8 255\n" + b"#a\n" * 1_000_000 + b"0 " * 192, "more than 100 comments"),
+    "ppm digits": (b"P3 3000 3000 255\n" + b"0 " * 192, "written in digits, and larger than 4,194,304 pixels"),
+    "pbm digits": (b"P1\n# by hand\n5000 5000\n" + b"01" * 192, "written in digits"),
     "jp2 boxes": (saved("JPEG2000")[:12] + b"\0\0\0\10free" * 1_000_000, "more than 10,000 boxes"),
     "jp2 precincts": (jpeg2000(tiny_precincts, boxes=True), "1,000,122 precincts"),
     "j2k precincts": (jpeg2000(tiny_precincts), "1,000,122 precincts"),

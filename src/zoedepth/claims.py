@@ -5,6 +5,7 @@ walks through the headers of one format, without unpacking anything, and raises 
 pieces than any photo has. What it cannot make sense of is left to the decoder.
 """
 
+import math
 import os
 import re
 import struct
@@ -26,7 +27,7 @@ _MAX_JPEG = 1 << 28  # bytes of a JPEG that are looked at: the largest pictures 
 _MAX_JUNK = 1 << 16  # bytes that stand between the segments of a JPEG
 _CHUNK = 1024  # bytes that the chunks of a large PNG have on average, at least
 _MAX_RUN_PIXELS = 1 << 22
-_MAX_PNM_HEADER, _MAX_COMMENTS = 4096, 100
+_MAX_PNM_HEADER, _MAX_COMMENTS, _MAX_DIGITS = 4096, 100, 1 << 27
 _MAX_TAGS, _MAX_ALL_TAGS, _MAX_STRIPS, _MAX_WITHIN = 4096, 1 << 17, 1 << 17, 16
 _MAX_MARKERS, _MAX_PRECINCTS, _MAX_BLOCKS = 1 << 17, 1 << 16, 1 << 19
 
@@ -116,13 +117,25 @@ def _check_bmp(file: BinaryFile) -> None:
 
 
 def _check_pnm(file: BinaryFile) -> None:
-    """Count the comments: Pillow reads the header one byte at a time, and passes over the whole text per comment."""
+    """Refuse large pictures of digits, which Pillow reads one number at a time, and count the comments.
+
+    Pillow reads the header one byte at a time, and passes over the whole text per comment.
+    """
     begin = file.tell()
     header = re.sub(rb"#[^\r\n]*[\r\n]", b" ", file.read(_MAX_PNM_HEADER)).split(maxsplit=4)
     if len(header) < 4:
         raise ValueError(f"its header is longer than {_MAX_PNM_HEADER:,} bytes, or cut short. Save it as PNG")
+    if header[0] not in (b"P1", b"P2", b"P3"):
+        return
+    n_pixels = math.prod(int(side) for side in header[1:3] if side.isdigit())
+    n_bytes = file.seek(0, os.SEEK_END) - begin
+    if n_pixels > _MAX_RUN_PIXELS or n_bytes > _MAX_DIGITS:
+        raise ValueError(
+            f"it is written in digits, and larger than {_MAX_RUN_PIXELS:,} pixels or {_MAX_DIGITS:,} bytes. Save it as "
+            "PNG"
+        )
     file.seek(begin)
-    if header[0] in (b"P1", b"P2", b"P3") and file.read(_MAX_JPEG).count(b"#") > _MAX_COMMENTS:
+    if file.read(n_bytes).count(b"#") > _MAX_COMMENTS:
         raise ValueError(f"it has more than {_MAX_COMMENTS} comments. Save it as PNG")
 
 
