@@ -14,7 +14,7 @@ OPTIONAL = {
     "datasets": "hf",
     "embreex": "synthetic",
     "matplotlib": "report",
-    "trimesh": "mesh", "fast_simplification": "mesh",
+    "fast_simplification": "mesh",
     "onnx": "onnx", "onnxruntime": "onnx",
     "openvino": "openvino", "nncf": "openvino",
 }  # fmt: skip
