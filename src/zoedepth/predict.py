@@ -359,7 +359,7 @@ class Predictor:
         vertical, horizontal = self._padding((pixels.shape[2], pixels.shape[3]))
         pixels = reflect_pad(pixels, vertical, horizontal)
         if not pixels.is_floating_point():
-            pixels = pixels.float() / 255
+            pixels = pixels.float().div_(255)  # in place: 90 megapixels take a gigabyte
         return resize_pixels(pixels, size, antialias=self.model.config.antialias)
 
     def _from_network(
