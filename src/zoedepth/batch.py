@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING
 from zoedepth import __version__
 from zoedepth.calibration import Calibration
 from zoedepth.depth_map import DepthMap
-from zoedepth.errors import InputError, ZoeDepthError, no_such
+from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.folders import Listing, check_writable, list_files, service_folder
 from zoedepth.images import IMAGE_SUFFIXES, read_image
-from zoedepth.outputs import OUTPUTS, Maps, Options
+from zoedepth.outputs import OUTPUTS, Maps, Options, output_names
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import is_own_file
 
@@ -108,7 +108,8 @@ class Request:
     model: str
     """The model's name for the sidecar."""
     outputs: tuple[str, ...] | None = None
-    """Names in ``OUTPUTS``; a sidecar is always written. None: the depth (or relative depth) and its preview."""
+    """Names in ``OUTPUTS``, or suffixes (``output_names``); a sidecar is always written. None: the depth (or relative
+    depth) and its preview."""
     options: Options = field(default_factory=Options)
     """How the files are written."""
     domain: str | None = None
@@ -131,8 +132,6 @@ class Request:
         if self.relative and metric:
             raise InputError(f"relative depth has no metres: leave out {', '.join(metric)}")
         for name in self.names:
-            if name not in OUTPUTS:
-                raise no_such("output", name, OUTPUTS)
             if self.map not in OUTPUTS[name].maps:
                 found = "relative depth" if self.relative else "depth in metres"
                 fitting = [known for known, output in OUTPUTS.items() if self.map in output.maps]
@@ -146,7 +145,7 @@ class Request:
     @property
     def names(self) -> tuple[str, ...]:
         """Names in ``OUTPUTS`` of the files that are written."""
-        return (self.map, "preview") if self.outputs is None else self.outputs
+        return (self.map, "preview") if self.outputs is None else output_names(self.outputs, map=self.map)
 
 
 @dataclass(frozen=True)

@@ -192,21 +192,28 @@ class DepthMap:
         """Return the photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
         return colors.preview(self.image, self.depth, vmin=vmin, vmax=vmax, colormap=colormap)
 
-    def save(self, path: str | Path, *, scale: float | None = None) -> None:
+    def save(
+        self, path: str | Path, *, scale: float | None = None, max_triangles: int | None = Options.max_triangles
+    ) -> None:
         """Write the depth in the format of the suffix, whole or not at all.
 
-        .png holds 16 bits, with the scale in its text chunks (``zoedepth.read_depth`` reads it back). .npy holds
-        float32 metres. .npz holds the same as ``depth``, with ``std`` and ``confidence`` beside it. .jpg, .jpeg and
-        .webp hold the preview, a picture.
+        ``zoedepth.read_depth`` reads depth back from these: .png holds 16 bits, with the scale in its text chunks;
+        .npy, .tif, .tiff and .pfm hold float32 metres, .exr the same as its channel Z, with the photo as R, G and B;
+        .npz holds ``depth``, ``std``, ``confidence``, ``valid`` and the ``intrinsics`` of the camera.
+
+        .ply and .pcd hold the points of the valid pixels with colours and normals, .glb the surface as a mesh with the
+        photo on it, all in metres. .jpg, .jpeg and .webp hold the preview, a picture.
 
         Args:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
+            max_triangles: triangles of a .glb, at most. None keeps all, one or two for each pixel.
 
         Raises:
-            InputError: another suffix.
+            InputError: another suffix, or there is nothing to make points or a surface of.
+            MissingExtraError: a library that the format needs is not installed.
         """
-        write_maps(path, self.maps, Options(png_scale=scale))
+        write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
 
     def _pixel(self, x: float, y: float) -> tuple[int, int]:
         """Return the (row, column) of the pixel at x and y, one whose depth is valid."""

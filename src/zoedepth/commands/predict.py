@@ -14,7 +14,7 @@ from rich.markup import escape
 
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
-from zoedepth.outputs import OUTPUTS, Options
+from zoedepth.outputs import OUTPUTS, Options, output_names
 from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
@@ -36,7 +36,8 @@ _IN_JSON = {
 
 _SAVE = tyro.conf.arg(
     metavar=f"[{{{','.join(OUTPUTS)}}} ...]",
-    help="kinds of files to write beside the sidecar; without it, depth (or relative) and preview. "
+    help="kinds of files to write beside the sidecar, also by suffix and with commas (png,exr,glb); without it, depth "
+    "(or relative) and preview. "
     + "; ".join(f"{name}: NAME{output.ending}, {output.summary}" for name, output in OUTPUTS.items()),
 )
 
@@ -65,6 +66,7 @@ def predict(
     vmin: float | None = None,
     vmax: float | None = None,
     colormap: str = "magma_r",
+    max_triangles: int = 500_000,
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
     workers: int | None = None,
@@ -81,7 +83,7 @@ def predict(
         out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
             `zoedepth export`.
-        save: names in ``outputs.OUTPUTS``; their summaries are the help.
+        save: names in ``outputs.OUTPUTS``, or suffixes; the summaries of the outputs are the help.
         preview: write the colour preview, the photo beside its depth with a bar in metres.
         flip: average with the prediction for the mirrored photo; half as fast, smoother.
         pad: reflect the borders outwards before the network, against artefacts at the border. "model" does as the model
@@ -107,6 +109,7 @@ def predict(
         vmin: depth of the first colour in metres; without it, from each photo. Give vmin and vmax to compare previews.
         vmax: depth of the last colour in metres; without it, from each photo.
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
+        max_triangles: triangles of a mesh (--save glb), at most; 0 keeps all, one or two for each pixel.
         device: cpu, cuda, mps, or auto for the best there is.
         precision: bfloat16 is faster on hardware made for it.
         workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
@@ -124,13 +127,14 @@ def predict(
         raise InputError(f"--out {out} is a file: give a folder")
     if workers is not None and workers < 0:
         raise InputError(f"--workers must be 1 or more, got {workers}")
-    options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap)
+    options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
 
     corrections = None if calibration is None else read_calibration(calibration)
 
     def request(*, relative: bool) -> Request:
-        names = save or ("relative" if relative else "depth", "preview")
-        names = tuple(name for name in dict.fromkeys(names) if preview or name != "preview")
+        kind = "relative" if relative else "depth"
+        names = output_names(save or (kind, "preview"), map=kind)
+        names = tuple(name for name in names if preview or name != "preview")
         return Request(model, names, options, domain=domain, relative=relative, calibration=corrections)
 
     wanted = request(relative=relative)
