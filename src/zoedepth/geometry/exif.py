@@ -108,19 +108,18 @@ def _by_film(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
     except (_Unsaid, _Unknown):
         lens = None
     if zoom > _MIN_ZOOM and _text(notes, _TAGS.Make).lower() != "apple":  # Apple's equivalent includes the zoom
-        diagonal = _sensor_diagonal(notes, taken)
-        if lens is None or diagonal is None:
+        sensor = sensor_size(_text(notes, _TAGS.Make), _text(notes, _TAGS.Model))
+        if lens is None or sensor is None:
             raise _Unknown(f"{known_by}, and nobody can tell whether that includes its digital zoom of {zoom:g}")
-        # The one of the two that the sensor is nearer to, on a scale of factors.
-        bare = lens * _FILM_DIAGONAL / diagonal
-        if abs(math.log(film / bare)) < abs(math.log(film / (bare * zoom))):
+        beyond = film * math.hypot(*sensor) / (lens * _FILM_DIAGONAL)  # what it has beyond what the lens does
+        if max(beyond / zoom, zoom / beyond) < max(beyond, 1 / beyond):
+            known_by += ", its digital zoom included"
+        else:
             film *= zoom
             known_by += f", times its digital zoom of {zoom:g}"
-            zoom = 1.0
     if lens is not None:
         # Some programs give the equivalent of a small picture of a large sensor, too long by as much as it is smaller.
-        sensor = lens * _FILM_DIAGONAL / film * zoom
-        if not _MIN_SENSOR <= sensor <= _MAX_SENSOR:
+        if not _MIN_SENSOR <= lens * zoom / film * _FILM_DIAGONAL <= _MAX_SENSOR:
             raise _Unknown(f"{known_by}, which no sensor makes of a lens of {lens:g} mm")
     return film / _FILM_DIAGONAL * math.hypot(*taken), known_by
 
@@ -168,17 +167,6 @@ def _resolution(notes: PhotoNotes) -> float:
             f"its focal plane's resolution is {across:.6g} across and {down:.6g} down, and one must be wrong"
         )
     return math.sqrt(across * down) / _UNITS[unit]
-
-
-def _sensor_diagonal(notes: PhotoNotes, taken: tuple[int, int]) -> float | None:
-    """Return the diagonal of the sensor in millimetres, where the model or its resolution tells it."""
-    sensor = sensor_size(_text(notes, _TAGS.Make), _text(notes, _TAGS.Model))
-    if sensor is not None:
-        return math.hypot(*sensor)
-    try:
-        return math.hypot(*taken) / _resolution(notes)
-    except (_Unsaid, _Unknown):
-        return None
 
 
 def _refuse_other_projections(notes: PhotoNotes) -> None:
