@@ -208,7 +208,7 @@ class TestOwnFiles:
         (moved / "a.json").unlink()
         found = find_photos([str(moved)], tmp_path / "out")
         assert not found.photos
-        assert found.left_out["written by zoedepth"] == 2
+        assert found.left_out["written by zoedepth"] == 5  # color, depth as PNG, EXR and TIFF, preview
 
     def test_a_photo_with_such_a_name_is_one(self, tmp_path: Path) -> None:
         for name in ("a.jpg", "a_preview.jpg", "a_depth.png"):

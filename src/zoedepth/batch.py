@@ -400,8 +400,10 @@ def _end_of_writing(photo: Photo, error: OSError) -> InputError | None:
 def _no_photo(file: Path) -> str | None:
     """Return why a file in a folder is no photo, or None."""
     suffix = file.suffix.lower()
+    if (suffix in IMAGE_SUFFIXES or suffix in _OTHER_PICTURES) and is_own_file(file):
+        return "written by zoedepth"
     if suffix in IMAGE_SUFFIXES:
-        return "written by zoedepth" if is_own_file(file) else None
+        return None
     if suffix in _OTHER_PICTURES:
         return f"{suffix} files, {_OTHER_PICTURES[suffix]}"
     return "files of other kinds" if suffix or not file.is_symlink() or file.exists() else None
