@@ -1,6 +1,7 @@
 """Reading every kind of photo, and refusing every kind of rubbish."""
 
 import io
+import re
 import struct
 import threading
 import tracemalloc
@@ -94,9 +95,22 @@ class TestReadImage:
 
     def test_broken_exif_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
         path = saved(Image.fromarray(photo), tmp_path / "photo.png", exif=b"Exif\x00\x00not a tiff header")
-        image, orientation = read_image_with_orientation(path)
+        with pytest.warns(InputWarning, match=r"photo\.png has damaged EXIF"):
+            image, orientation = read_image_with_orientation(path)
         np.testing.assert_array_equal(image, photo)
         assert orientation == 1
+
+    @pytest.mark.parametrize("n_bytes", [4, 30, 60])
+    def test_exif_that_is_cut_short_is_named_with_its_file(
+        self, photo: np.ndarray, tmp_path: Path, recwarn: pytest.WarningsRecorder, n_bytes: int
+    ) -> None:
+        exif = Image.Exif()
+        exif[0x0112], exif[0x010F] = 6, "a camera"
+        exif.get_ifd(0x8769)[0x9286] = b"a long comment of somebody"
+        path = saved(Image.fromarray(photo), tmp_path / "photo.jpg", exif=exif.tobytes()[:-n_bytes])
+        image, orientation = read_image_with_orientation(path)
+        assert (orientation, image.shape[:2]) == (6, photo.shape[1::-1]), "what is left of it still counts"
+        assert [str(warning.message).partition(". ")[0] for warning in recwarn] == [f"{path} has damaged EXIF"]
 
     def test_orientation_that_is_none_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
         exif = Image.Exif()
@@ -187,6 +201,25 @@ def large(photo: np.ndarray) -> np.ndarray:
 
 class TestWarnings:
     """What can be read and is hardly meant is named, with what to do."""
+
+    @pytest.mark.parametrize(
+        ("bits", "words"), [(10, "nearly black"), (14, r"too dark.*below 16384\. .*by 4$"), (15, "")]
+    )
+    def test_few_bits_in_16_of_colours(
+        self, photo: np.ndarray, tmp_path: Path, recwarn: pytest.WarningsRecorder, bits: int, words: str
+    ) -> None:
+        """Pillow cannot write such PNGs, and keeps the upper 8 bits when it reads one."""
+        levels = np.round(photo / photo.max() * (2**bits - 1)).astype(">u2")
+        height, width = photo.shape[:2]
+        header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)
+        rows = b"".join(b"\0" + row.tobytes() for row in levels)
+        chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+        path = tmp_path / "raw.png"
+        path.write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(bombs.chunk(*each) for each in chunks))
+        np.testing.assert_array_equal(read_image(path), levels >> 8)
+        said = [str(warning.message) for warning in recwarn]
+        assert len(said) == bool(words)
+        assert re.search(words, " ".join(said))
 
     @pytest.mark.parametrize(("bits", "factor"), [(8, 257), (10, 64), (12, 16), (14, 4)])
     def test_few_bits_in_16(self, photo: np.ndarray, tmp_path: Path, bits: int, factor: int) -> None:

@@ -21,7 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from zoedepth.claims import HEIC_IS_READ, BinaryFile, check_claims
 from zoedepth.errors import InputError, InputWarning
-from zoedepth.pictures import PhotoNotes, is_panorama, n_full_pages, open_picture, read_notes
+from zoedepth.pictures import PhotoNotes, has_whole_exif, is_panorama, n_full_pages, open_picture, read_exif, read_notes
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
 DepthArray = Float32[np.ndarray, "_height _width"]
@@ -203,7 +203,7 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
 
 
 def _read(source: str | Path | BinaryFile, *, max_pixels: int, photo: bool = True) -> tuple[ImageArray, int]:
-    picture, orientation, _ = _open(source, max_pixels=max_pixels)
+    picture, orientation, _ = _open(source, max_pixels=max_pixels, photo=photo)
     with picture:
         return _from_upright(picture, _name(source), photo=photo), orientation
 
@@ -213,7 +213,12 @@ def _name(source: str | Path | BinaryFile) -> str:
 
 
 def _open(
-    source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS, decode: bool = True, notes: bool = False
+    source: str | Path | BinaryFile,
+    *,
+    max_pixels: int = MAX_PIXELS,
+    decode: bool = True,
+    notes: bool = False,
+    photo: bool = True,
 ) -> tuple[Image.Image, int, PhotoNotes]:
     """Open, decode and turn a picture (``load_upright``), with one kind of error for whatever is wrong with a file.
 
@@ -233,7 +238,10 @@ def _open(
             orientation = found.orientation
             if decode:
                 _warn_of_more(picture, name)
+                deep = any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
                 picture, orientation = load_upright(picture)
+                if photo and deep:
+                    _warn_if_colours_are_dim(picture, name)
     except InputError:
         raise
     except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
@@ -260,6 +268,11 @@ def _warn_of_more(picture: Image.Image, name: str) -> None:
     """Say that a file holds more than the picture that is read, or another kind of picture than a model is for."""
     if n_full_pages(picture) > 1 or (picture.format in _ANIMATED and getattr(picture, "is_animated", False)):
         _warn(f"{name} has several pages or frames, and the first is read. Save each as a photo of its own")
+    if not has_whole_exif(picture):
+        _warn(
+            f"{name} has damaged EXIF. Where that says how the photo lies, or its camera, this may be lost: look at "
+            "the photo, and turn it if it lies on its side"
+        )
     if is_panorama(picture):
         _warn(
             f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong"
@@ -370,7 +383,7 @@ def load_upright(picture: Image.Image) -> tuple[Image.Image, int]:
     by_pillow = getattr(picture, "tag_v2", {}).get(_ORIENTATION_TAG, picture.info.get("original_orientation"))
     picture.load()
     try:
-        orientation = picture.getexif().get(_ORIENTATION_TAG)
+        orientation = read_exif(picture).get(_ORIENTATION_TAG)
     except Exception:  # broken EXIF says nothing about the pixels, which were decoded without it
         orientation = None
     if orientation in _UPRIGHT:
@@ -417,11 +430,25 @@ def _warn_if_dim(array: np.ndarray, name: str) -> bool:
     """Say so where 16 bits hold a picture of fewer bits, as those of thermal and industrial cameras do."""
     if array.dtype.kind != "u" or array.dtype.itemsize != 2 or not 0 < (largest := int(array.max())) < _DIM_16_BITS:
         return False
-    _warn(
-        f"{name} is too dark: it has 16 bits, read as 0 to {PNG_MAX}, and its largest value is {largest}. "
-        f"Stretch it first: multiply its values by {PNG_MAX // largest}"
-    )
+    _warn_of_dim(name, f"its largest value is {largest}", PNG_MAX // largest)
     return True
+
+
+def _warn_if_colours_are_dim(picture: Image.Image, name: str) -> None:
+    """Say the same of colours of 16 bits, of which Pillow keeps the upper 8. What is darker is nearly black."""
+    if picture.mode not in ("RGB", "RGBA"):
+        return
+    extrema: Any = picture.getextrema()
+    largest = max(high for _, high in extrema[:3])
+    if _DARK <= largest < _DIM_16_BITS >> 8:
+        _warn_of_dim(name, f"its largest value is below {largest + 1 << 8}", PNG_MAX // ((largest + 1 << 8) - 1))
+
+
+def _warn_of_dim(name: str, found: str, factor: int) -> None:
+    _warn(
+        f"{name} is too dark: it has 16 bits, read as 0 to {PNG_MAX}, and {found}. Stretch it first: multiply its "
+        f"values by {factor}"
+    )
 
 
 def _warn_if_nothing_shows(image: UInt8[np.ndarray, "height width channels"], name: str) -> None:

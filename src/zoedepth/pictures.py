@@ -1,11 +1,14 @@
 """The picture in a file, opened by Pillow's readers: the full one, whatever else the file holds."""
 
 import struct
+import warnings
 import zlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from io import BytesIO
 from itertools import count
+from typing import NamedTuple
 
 from PIL import ExifTags, Image, UnidentifiedImageError
 from PIL.JpegImagePlugin import JpegImageFile
@@ -16,6 +19,7 @@ from zoedepth.claims import HEIC_IS_READ, BinaryFile
 _KIND_TAG, _PREVIEW_OR_MASK, _OLD_KIND_TAG, _OLD_PREVIEW = 254, 0b101, 255, 2
 _MAX_NOTES = 1 << 20  # bytes of the texts and the profile of a PNG together, unpacked: what Pillow allows for one
 _MAX_UNPACKED = 64 * _MAX_NOTES  # bytes that are unpacked to find that out
+_VALUE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # of EXIF's types
 _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 
 
@@ -42,15 +46,73 @@ def read_notes(picture: Image.Image) -> PhotoNotes:
     tags: dict[int, object] = {}
     damage = ""
     try:
-        exif = picture.getexif()
+        exif = read_exif(picture)
         tags |= exif
         tags |= exif.get_ifd(ExifTags.IFD.Exif)
     except Exception as error:  # Pillow raises nearly anything on broken EXIF, from struct.error to SyntaxError
         damage = str(error) or type(error).__name__
     # A HEIC is turned as it is opened, and keeps what it was turned by.
     orientation = picture.info.get("original_orientation") or tags.get(ExifTags.Base.Orientation)
-    known = isinstance(orientation, int) and 1 <= orientation <= 8
-    return PhotoNotes(tags, orientation if known else 1, is_panorama(picture), damage)
+    if not isinstance(orientation, int) or not 1 <= orientation <= 8:
+        orientation = 1
+    return PhotoNotes(tags, orientation, is_panorama(picture), damage)
+
+
+def read_exif(picture: Image.Image) -> Image.Exif:
+    """Return a picture's EXIF as Pillow's ``getexif`` does, without its warnings of damage, which name no file.
+
+    Of damaged EXIF it has what stands before the damage, and the orientation wherever it stands. Pillow raises nearly
+    anything where nothing can be read at all.
+    """
+    if has_whole_exif(picture):
+        return picture.getexif()
+    with warnings.catch_warnings():  # other threads may warn meanwhile: this silences nothing but damaged EXIF
+        damage = r"(Possibly c|C)orrupt EXIF|Truncated File Read|Tag (data|offset)"
+        warnings.filterwarnings("ignore", damage, UserWarning)
+        exif = picture.getexif()
+        with suppress(Exception):
+            exif.get_ifd(ExifTags.IFD.Exif)  # Pillow keeps it, so that nothing is read later
+    if (orientation := _walk(picture.info["exif"]).orientation) is not None:
+        exif.setdefault(ExifTags.Base.Orientation, orientation)
+    return exif
+
+
+def has_whole_exif(picture: Image.Image) -> bool:
+    """Return False if directories or values of a picture's EXIF lie beyond its end, as where a program cut it short."""
+    content = picture.info.get("exif")
+    return not isinstance(content, bytes) or _walk(content).whole
+
+
+class _Walk(NamedTuple):
+    """What a walk through the directories of EXIF has found."""
+
+    whole: bool
+    """False where a directory or a value lies beyond the end."""
+    orientation: int | None
+
+
+def _walk(content: bytes) -> _Walk:
+    """Walk through the main directory of EXIF, and through the Exif directory that it names."""
+    if not (content := content.removeprefix(b"Exif\0\0")):
+        return _Walk(True, None)
+    order = "<" if content.startswith(b"II") else ">"
+    whole, orientation = True, None
+    try:
+        places = [struct.unpack_from(order + "I", content, 4)[0]]
+        for place in places:  # one more may be found on the way
+            (n_tags,) = struct.unpack_from(order + "H", content, place)
+            for entry in range(place + 2, place + 2 + 12 * n_tags, 12):
+                tag, kind, count, value = struct.unpack_from(order + "HHII", content, entry)
+                n_bytes = _VALUE_BYTES.get(kind, 0) * count
+                whole &= n_bytes <= 4 or value + n_bytes <= len(content)
+                if tag == ExifTags.IFD.Exif and len(places) == 1:
+                    places.append(value)
+                elif tag == ExifTags.Base.Orientation and kind == 3:  # a short number stands in the entry itself
+                    (orientation,) = struct.unpack_from(order + "H", content, entry + 8)
+            struct.unpack_from(order + "I", content, place + 2 + 12 * n_tags)  # the place of the next directory
+    except struct.error:
+        whole = False
+    return _Walk(whole, orientation)
 
 
 def is_panorama(picture: Image.Image) -> bool:
@@ -93,7 +155,7 @@ def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
         if not verdict or isinstance(verdict, str):  # a text says why it cannot be read here
             continue
         if name == "JPEG":
-            reader = JpegImageFile  # the registered one looks for further pictures, and warns where they are damaged
+            reader = _Jpeg  # the registered one looks for further pictures, and warns where they are damaged
         file.seek(0)
         try:
             picture = reader(file, "")
@@ -103,6 +165,13 @@ def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:
             _seek_full_page(picture)
         return picture
     raise UnidentifiedImageError("it is no picture in a known format")
+
+
+class _Jpeg(JpegImageFile):
+    """Pillow's reader, which leaves EXIF alone: it would look there for the dots per inch, and warn of damage."""
+
+    def _read_dpi_from_exif(self) -> None:
+        pass
 
 
 def _open_heic(file: BinaryFile) -> Image.Image:

@@ -16,7 +16,7 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.errors import InputError
 from zoedepth.images import FORMATS
-from zoedepth.pictures import open_picture
+from zoedepth.pictures import open_picture, read_exif
 
 MOST_BROKEN = 0.1
 """Share of the samples of a data set that may be broken before it is not used."""
@@ -85,7 +85,7 @@ def _suspicious(pair: Any, *, paired: bool) -> bool:
             return True
         if paired and (found := _size(pair.target, depth=pair.kind == "depth")) is not None:
             with pair.image.open("rb") as file, open_picture(file, FORMATS) as photo:
-                turned = "exif" in photo.info and photo.getexif().get(_ORIENTATION, 1) != 1
+                turned = "exif" in photo.info and read_exif(photo).get(_ORIENTATION, 1) != 1
                 check_fit((photo.height, photo.width), found, names=(pair.image, pair.target))
             return turned
     except Exception:  # whoever reads the pair says what is wrong with it
