@@ -13,6 +13,7 @@ from PIL import Image
 
 import zoedepth.export.write
 from zoedepth.cli import main
+from zoedepth.images import write_image
 from zoedepth.predict import Predictor
 from zoedepth.weights.load import load_model
 
@@ -98,6 +99,10 @@ def test_nothing_is_loaded_for_an_export_that_cannot_be(
     # A folder that cannot be.
     below = refused(capsys, *command, "onnx", "--out", "mine.onnx/deep/m.onnx")
     assert "--out: cannot write to mine.onnx/deep" in below
+    # A picture that zoedepth has written is no photo.
+    write_image(tmp_path / "folder.onnx/a_preview.jpg", np.zeros((9, 9, 3), np.uint8))
+    said = refused(capsys, *command, "openvino", "--int8", "--calibrate", "folder.onnx")
+    assert "--calibrate folder.onnx holds no photos" in said
     # Libraries that are not installed.
     known = importlib.util.find_spec
     monkeypatch.setattr(zoedepth.export.write, "find_spec", lambda name: None if name == "nncf" else known(name))

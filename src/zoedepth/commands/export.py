@@ -8,7 +8,6 @@ from rich.console import Console
 
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
-from zoedepth.images import IMAGE_SUFFIXES
 from zoedepth.stored import to_json
 
 MAX_CALIBRATION = 300
@@ -41,6 +40,7 @@ def export(
         json_: print one JSON object instead of the name: files, format, int8, difference (the largest median relative
             difference to torch's depth), licence and trained_on.
     """
+    from zoedepth.batch import find_photos
     from zoedepth.commands.progress import download_progress
     from zoedepth.export.write import SUFFIXES, check_wish, export_model
     from zoedepth.weights.load import load_model
@@ -54,7 +54,8 @@ def export(
         raise InputError("--calibrate is for --int8 only: add --int8, or leave it out")
     photos = []
     if calibrate is not None:
-        photos = [path for path in sorted(calibrate.rglob("*")) if path.suffix.lower() in IMAGE_SUFFIXES]
+        # No thumbnails of other programs, and none of the pictures that this one has written.
+        photos = [photo.path for photo in find_photos([str(calibrate)], path.parent).photos]
         if not photos:
             raise InputError(f"--calibrate {calibrate} holds no photos: give a folder with photos (.jpg, .png ...)")
         photos = photos[:: -(-len(photos) // MAX_CALIBRATION)]  # evenly spread over the folder
