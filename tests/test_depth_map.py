@@ -28,6 +28,8 @@ def test_size_and_confidence() -> None:
 
 
 def test_save_writes_in_the_format_of_the_suffix(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("fast_simplification")
     result = depth_map()
     result.save(tmp_path / "depth.png")
     np.testing.assert_allclose(read_depth(tmp_path / "depth.png"), result.depth, atol=5.1e-4)
@@ -39,6 +41,10 @@ def test_save_writes_in_the_format_of_the_suffix(tmp_path: Path) -> None:
     with np.load(tmp_path / "depth.npz") as arrays:
         np.testing.assert_array_equal(arrays["std"], result.std)
         np.testing.assert_array_equal(arrays["confidence"], result.confidence)
+    for limit in (None, 50):
+        result.save(tmp_path / "depth.glb", max_triangles=limit)
+        (mesh,) = trimesh.load(tmp_path / "depth.glb").geometry.values()
+        assert len(mesh.faces) == 2 * 39 * 59 if limit is None else 10 < len(mesh.faces) <= limit
     result.save(tmp_path / "depth.jpg")
     with Image.open(tmp_path / "depth.jpg") as picture:
         assert picture.size == result.preview().shape[1::-1]

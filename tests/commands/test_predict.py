@@ -92,13 +92,23 @@ class TestOptions:
             (["--save", "npz"], {"photo.npz"}),
             (["--save", "depth", "npy", "preview"], {"photo_depth.png", "photo_depth.npy", "photo_preview.jpg"}),
             (["--save", "preview", "npz", "--no-preview"], {"photo.npz"}),
+            (["--save", "png,tif", "color"], {"photo_depth.png", "photo_depth.tiff", "photo_color.png"}),
             (["--relative"], {"photo_relative.png", "photo_preview.jpg"}),
+            (["--relative", "--save", "png,jpg"], {"photo_relative.png", "photo_preview.jpg"}),
             (["--relative", "--save", "npz"], {"photo.npz"}),
         ],
     )
     def test_of_the_files(self, photo: Path, tmp_path: Path, options: list[str], files: set[str]) -> None:
         assert predict(photo, "--no-flip", *options, out=tmp_path / "out") == 0
         assert names(tmp_path / "out") == {*files, "photo.json"}
+
+    @pytest.mark.parametrize(("given", "most"), [(["--max-triangles", "150"], 150), (["--max-triangles", "0"], 10_000)])
+    def test_of_a_mesh(self, tmp_path: Path, given: list[str], most: int) -> None:
+        pytest.importorskip("fast_simplification")
+        photo = write_photo(tmp_path / "photo.png", size=(60, 80))
+        assert predict(photo, "--no-flip", "--save", "glb", *given, out=tmp_path / "out") == 0
+        triangles = json.loads((tmp_path / "out/photo.json").read_text())["triangles"]
+        assert most / 4 < triangles <= most
 
     def test_model_without_metric_heads_gives_relative_depth(
         self, photo: Path, tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
@@ -115,7 +125,8 @@ class TestOptions:
             (["--png-scale", "-1"], "scale"),
             (["--vmin", "5", "--vmax", "1"], "vmin"),
             (["--colormap", "jet"], "jet"),
-            (["--save", "exe"], "exe"),
+            (["--save", "depth,exe"], "'exe'"),
+            (["--max-triangles", "-1"], "--max-triangles"),
             (["--workers", "-1"], "--workers must be 1 or more"),
             (["--relative", "--domain", "indoor"], "no metres"),
             (["--relative", "--png-scale", "256"], "no metres"),
