@@ -187,6 +187,8 @@ def test_a_sheet_that_cannot_be_written_is_an_error_before_anything_is_read(
 ):
     (tmp_path / "file").write_text("")
     assert "--sheet" in error(capsys, "check", tmp_path / "nowhere", "--sheet", tmp_path / "file/sheet.jpg")
+    Image.new("RGB", (4, 4)).save(tmp_path / "mine.jpg")
+    assert "is not from zoedepth" in error(capsys, "check", tmp_path / "nowhere", "--sheet", tmp_path / "mine.jpg")
 
 
 @pytest.mark.parametrize(
@@ -226,12 +228,15 @@ def test_list_away_from_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "In order" in run(capsys, "check", tmp_path / "shards")
 
 
-def test_named_paths():
+def test_named_paths(tmp_path: Path):
     assert named_paths(["a=b/c.csv", "data/nyu", "data/kitti/test.csv"]) == {
         "a": Path("b/c.csv"),
         "nyu": Path("data/nyu"),
         "kitti": Path("data/kitti/test.csv"),
     }
+    assert named_paths(["data/kitti/train.TSV"]) == {"kitti": Path("data/kitti/train.TSV")}
+    (tmp_path / "rate=0.1").mkdir()
+    assert named_paths([str(tmp_path / "rate=0.1")]) == {"rate=0.1": tmp_path / "rate=0.1"}
     for values in (["a=b", "a=c"], ["=b"], ["a="]):
         with pytest.raises(InputError, match="each name once"):
             named_paths(values)

@@ -44,6 +44,9 @@ def test_folder_that_cannot_be_written_to_is_refused_first(tmp_path: Path, capsy
     for name in ("demo", "demo-train"):
         assert main([name, "--out", str(tmp_path / "file" / "out")]) == 2
         assert "cannot write" in capsys.readouterr().err
+    Image.new("RGB", (4, 4)).save(tmp_path / "coffee_preview.jpg")
+    assert main(["demo", "--out", str(tmp_path)]) == 2
+    assert "coffee_preview.jpg is not from zoedepth, and would be replaced" in capsys.readouterr().err
 
 
 def test_missing_extra_is_named(

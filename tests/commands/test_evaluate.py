@@ -539,6 +539,7 @@ class TestPredictions:
         [
             (("--predictions-scale", "mm"), "must be a number"),
             (("--predictions-scale", "0"), "must be finite and > 0"),
+            (("--predictions-scale", "256", "1000"), "says twice what holds for all"),
             (("--predictions-kind", "inverse"), "must be depth or disparity"),
             (("--predictions-scale", "other=256"), "is given for ['other'], but the names are ['theirs']"),
         ],

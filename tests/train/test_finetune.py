@@ -261,7 +261,7 @@ def test_broken_pairs_are_named_and_left_out_up_to_a_tenth(planned, tmp_path: Pa
         planned({"rooms": rooms})
 
 
-@pytest.mark.parametrize("name", ["README.md", "metrics.json", "model.safetensors"])
+@pytest.mark.parametrize("name", ["README.md", "metrics.json", "model.safetensors", "data.jpg"])
 def test_files_that_are_not_ours_are_never_replaced(planned, tmp_path: Path, name: str):
     rooms = folder_of_pairs(tmp_path / "rooms")
     (tmp_path / "out").mkdir()

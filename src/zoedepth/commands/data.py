@@ -1,6 +1,7 @@
 """``zoedepth data``: list the data sets, and check a download. Also reads ``--data NAME=SOURCE`` for other commands."""
 
 import json
+import os
 import re
 import sys
 import textwrap
@@ -113,6 +114,7 @@ def check(
     from zoedepth.commands.progress import track
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
+    from zoedepth.outputs.ownership import has_own_mark
     from zoedepth.stored import to_json
     from zoedepth.train.log import Ticker
 
@@ -120,6 +122,8 @@ def check(
         raise InputError(f"--sheet {sheet}: the name must end in one of {', '.join(PICTURE_SUFFIXES)}")
     if sheet is not None:
         check_writable(sheet.parent, option="--sheet")
+        if os.path.lexists(sheet) and not has_own_mark(sheet):
+            raise InputError(f"--sheet {sheet} is not from zoedepth, and would be replaced: give another name")
     if folder is not None:
         dataset = _open_published(what, folder, split)
     else:
@@ -151,12 +155,14 @@ SUBCOMMANDS: dict[str, Callable[..., int]] = {"list": list_, "check": check, "sh
 def named_sources(values: Sequence[str]) -> dict[str, str]:
     """Return NAME=SOURCE arguments as a dict; a bare SOURCE is named after its file's folder, its folder or its scheme.
 
+    The path of a file or folder that is there is a bare SOURCE, also where it has a = in it.
+
     Raises:
         InputError: a name is empty or given twice.
     """
     named: dict[str, str] = {}
     for value in values:
-        found = re.fullmatch(r"([^=:?]*)=(.*)", value)
+        found = None if os.path.exists(value) else re.fullmatch(r"([^=:?]*)=(.*)", value)
         name, source = found.groups() if found else (_own_name(value), value)
         if not name or not source or name in named:
             raise InputError(f"{value!r}: give NAME=SOURCE, each name once")
@@ -165,11 +171,13 @@ def named_sources(values: Sequence[str]) -> dict[str, str]:
 
 
 def _own_name(source: str) -> str:
+    from zoedepth.opening import LISTS
+
     scheme, colon, rest = source.partition(":")
     if colon and scheme in ("synthetic", "hf", "http", "https"):
         return scheme if scheme == "synthetic" else Path(re.split(r"[?@:]", rest)[0]).name
     path = Path(source)
-    return (path.parent.name if path.suffix in (".csv", ".jsonl", ".txt") else path.name) or path.stem
+    return (path.parent.name if path.suffix.lower() in LISTS else path.name) or path.stem
 
 
 def named_paths(values: Sequence[str]) -> dict[str, Path]:

@@ -1,6 +1,7 @@
 """``zoedepth demo``: predict real photographs, one of them with measured depth."""
 
 import math
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +12,17 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
-from zoedepth.errors import MissingExtraError
+from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.folders import check_writable
 from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
+from zoedepth.outputs.ownership import has_own_mark
 
 if TYPE_CHECKING:
     from zoedepth.depth_map import DepthMap
+
+NAMES, ENDINGS = ("motorcycle", "rocket", "coffee"), ("_depth.png", "_preview.jpg")
+"""The photographs, and the files of each."""
 
 # The camera of the photo at the size scikit-image ships it (docstring of skimage.data.stereo_motorcycle).
 FOCAL_PX = 994.978
@@ -40,8 +45,9 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
         model: a name of `zoedepth models`, or a file of weights.
     """
     check_writable(out, option="--out")
+    _check_replaced(out)
     data = _skimage_data()
-    photos = {"motorcycle": data.stereo_motorcycle()[0], "rocket": data.rocket(), "coffee": data.coffee()}
+    photos = dict(zip(NAMES, (data.stereo_motorcycle()[0], data.rocket(), data.coffee()), strict=True))
     truth = motorcycle_depth()
 
     from zoedepth.commands.progress import download_progress
@@ -54,8 +60,8 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
     results = {}
     for name, photo in photos.items():
         result = results[name] = predictor(photo)
-        result.save(out / f"{name}_depth.png")
-        result.save(out / f"{name}_preview.jpg")
+        for ending in ENDINGS:
+            result.save(out / f"{name}{ending}")
         near, far = np.percentile(result.depth, (1, 99))
         console.print(f"{name}: {near:.1f} to {far:.1f} m, {_domain(result)}")
 
@@ -65,6 +71,13 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
     write_image(out / "demo.png", _contact_sheet(results, truth))
     console.print(f"Pictures: {out / 'demo.png'}; the depth and preview of each photo are beside it.", soft_wrap=True)
     return 0
+
+
+def _check_replaced(out: Path) -> None:
+    """Refuse to replace files that this package has not written."""
+    for file in (out / "demo.png", *(out / f"{name}{ending}" for name in NAMES for ending in ENDINGS)):
+        if os.path.lexists(file) and not has_own_mark(file):
+            raise InputError(f"{file} is not from zoedepth, and would be replaced: choose another folder with --out")
 
 
 def motorcycle_depth() -> DepthArray:

@@ -151,7 +151,11 @@ def _by_name(
     option: str, wanted: Sequence[str], names: Sequence[str], read: Callable[[str], Value]
 ) -> dict[str, Value | None]:
     """Return, for each name, its value in an option of VALUE or NAME=VALUE; else the one for all, else None."""
-    given = {name: read(value) for name, _, value in (entry.rpartition("=") for entry in wanted)}
+    given: dict[str, Value] = {}
+    for name, _, value in (entry.rpartition("=") for entry in wanted):
+        if name in given:
+            raise InputError(f"{option} says twice what holds for {name or 'all'}: leave one of them out")
+        given[name] = read(value)
     if unknown := sorted(given.keys() - {*names, ""}):
         raise InputError(f"{option} is given for {unknown}, but the names are {sorted(names)}: use one of these")
     if wanted and not names:
@@ -211,7 +215,11 @@ def _sources(
 
     if not (models or folders or trivial):
         models = ("zoed-lite",)
-    names = [(label, value if equals else label) for label, equals, value in (each.partition("=") for each in models)]
+    names = [
+        (label, value) if equals and not os.path.exists(each) else (each, each)  # a path may have a = in it
+        for each in models
+        for label, equals, value in (each.partition("="),)
+    ]
     labels = [*(label for label, _ in names), *folders, *(TRIVIAL if trivial else ())]
     for label in labels:
         if labels.count(label) > 1:

@@ -19,6 +19,7 @@ from zoedepth.evaluation.summary import Summary, summarise
 from zoedepth.images import atomic_path, write_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.outputs.ownership import has_own_mark
 from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.extend import extended, extended_config
 from zoedepth.train.metric import train_metric
@@ -199,7 +200,8 @@ def _check_out(out: Path, data: Mapping[str, str]) -> None:
             raise InputError(f"--out {out} is the folder of the data: choose another one, so that they do not mix")
     ours = (out / INITIAL).is_file() or (out / "run").is_dir()
     clash = [name for name in RESULTS if (out / name).exists()]
-    if clash and not ours and clash != ["data.jpg"]:
+    only_looked = clash == ["data.jpg"] and has_own_mark(out / "data.jpg")  # a plan was made, and no more
+    if clash and not ours and not only_looked:
         raise InputError(
             f"--out {out} has {', '.join(clash)}, and no fine-tuning has written it: choose another folder, or move "
             "these files away"
