@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
 
 import numpy as np
 import torch
@@ -17,9 +17,9 @@ from torch import Tensor
 from zoedepth.config import Domain, ModelConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
-from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.camera import Camera, Intrinsics
 from zoedepth.geometry.exif import read_exif_camera
-from zoedepth.geometry.lens import KnownCamera, camera_of
+from zoedepth.geometry.lens import KnownCamera, Lens, camera_of
 from zoedepth.images import DepthArray, ImageArray, to_image, to_image_with_notes
 from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.pixels import check_pixels, reflect_pad, resize_pixels
@@ -33,6 +33,12 @@ ASSUMED_FOV_X = 60.0
 
 CameraChoice: TypeAlias = KnownCamera | Literal["exif", "none"]
 """The camera of a photo: what somebody knows of it; or "exif", what the photo's own notes tell; or "none"."""
+
+
+CameraChoices: TypeAlias = CameraChoice | Sequence[CameraChoice | None] | None
+"""One for all photos, or a list with one for each. None: that of the predictor."""
+
+_WORDS = ("exif", "none")
 
 
 class _Photo(NamedTuple):
@@ -145,7 +151,7 @@ class Predictor:
         images: Sequence[Any],
         *,
         domain: str | None = None,
-        camera: CameraChoice | Sequence[CameraChoice | None] | None = None,
+        camera: CameraChoices = None,
         batch_size: int = 4,
     ) -> list[DepthMap]:
         """Predict several photos. The depths are those of one photo at a time.
@@ -188,7 +194,7 @@ class Predictor:
         pixels: Float[Tensor, "batch 3 height width"],
         *,
         domain: Int[Tensor, " batch"] | None = None,
-        camera: CameraChoice | Sequence[CameraChoice | None] | None = None,
+        camera: CameraChoices = None,
     ) -> Float[Tensor, "batch 1 height width"]:
         """Predict the depth of a tensor of photos of one size, as the original's ``infer``, for pipelines in torch.
 
@@ -440,7 +446,8 @@ class Predictor:
         std = None if output.std is None else _to_array(self._from_network(output.std, size, mode="bilinear"))
         factor = self._focal_factor(photo.camera, domain, photo.network_size)
         if factor != 1:
-            near, far, depth = (metres * np.float32(factor) for metres in (near, far, depth))
+            near, far = near * np.float32(factor), far * np.float32(factor)
+            depth = depth * np.float32(factor)
             std = None if std is None else std * np.float32(factor)
         return DepthMap(
             depth,
@@ -485,21 +492,22 @@ def _size(photo: ImageArray) -> tuple[int, int]:
     return photo.shape[0], photo.shape[1]
 
 
-def _one_each(
-    camera: CameraChoice | Sequence[CameraChoice | None] | None, number: int
-) -> Sequence[CameraChoice | None]:
+def _one_each(camera: CameraChoices, number: int) -> Sequence[CameraChoice | None]:
     """Return a list with the camera of each photo, given one for all or such a list."""
-    if camera is None or isinstance(camera, str | get_args(KnownCamera)):
-        return [camera] * number
-    if not isinstance(camera, Sequence) or len(camera) != number:
-        n_cameras = len(camera) if isinstance(camera, Sequence) else type(camera).__name__
-        raise InputError(f"there are {number} photos and {n_cameras} cameras: give a list with one camera for each")
+    if isinstance(camera, str) or not isinstance(camera, Sequence):
+        one = cast("CameraChoice | None", camera)  # a word is a sequence, too, for type checkers
+        return [one for _ in range(number)]
+    if len(camera) != number:
+        raise InputError(f"there are {number} photos and {len(camera)} cameras: give a list with one camera for each")
     return camera
 
 
 def _check_choice(camera: CameraChoice) -> None:
-    if camera not in ("exif", "none") and not isinstance(camera, get_args(KnownCamera)):
-        raise InputError(f"camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none', got {camera!r}")
+    if not (isinstance(camera, Camera | Intrinsics | Lens) or (isinstance(camera, str) and camera in _WORDS)):
+        raise InputError(
+            f"camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none', got {camera!r}. Camera.from_matrix makes "
+            "one of a 3 x 3 matrix"
+        )
 
 
 def _to_array(x: Float[Tensor, "1 1 height width"]) -> DepthArray:
