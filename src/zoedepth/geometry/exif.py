@@ -21,6 +21,7 @@ _MIN_SENSOR, _MAX_SENSOR = 2.9, 100.0  # millimetres of diagonal: below the smal
 _MAX_SHAPE = 2.5  # longer by shorter side: what goes beyond was stitched, or is a strip
 _MAX_OBLONG = 1.1  # where the two resolutions of a sensor differ more, one of them is wrong: pixels are square
 _MIN_ZOOM = 1.02  # digital zoom below changes nothing that matters
+_SAME_FACTOR = 1.01  # two ways to tell how much a photo was resized agree
 _BLOCK = 16  # pixels by which JPEGs are cut without loss: a side shorter by less counts as whole
 _APPLE_PANORAMA = 6  # of "CustomRendered"
 _SPHERES = ("theta", "insta360", "gear 360", "qoocam")  # cameras that see all round, where XMP was lost
@@ -117,10 +118,9 @@ def _by_film(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
         else:
             film *= zoom
             known_by += f", times its digital zoom of {zoom:g}"
-    if lens is not None:
-        # Some programs give the equivalent of a small picture of a large sensor, too long by as much as it is smaller.
-        if not _MIN_SENSOR <= lens * zoom / film * _FILM_DIAGONAL <= _MAX_SENSOR:
-            raise _Unknown(f"{known_by}, which no sensor makes of a lens of {lens:g} mm")
+    # Some programs give the equivalent of a small picture of a large sensor, too long by as much as it is smaller.
+    if lens is not None and not _MIN_SENSOR <= lens * zoom / film * _FILM_DIAGONAL <= _MAX_SENSOR:
+        raise _Unknown(f"{known_by}, which no sensor makes of a lens of {lens:g} mm")
     return film / _FILM_DIAGONAL * math.hypot(*taken), known_by
 
 
@@ -196,27 +196,28 @@ def _since_taken(taken: tuple[int, int], now: tuple[int, int]) -> tuple[float, s
     if taken == now:
         return 1.0, ""
     said = f"{taken[0]} x {taken[1]} pixels when it was taken"
-    cropped = _is_cropped(taken, now)
-    # Programs that turn a photo upright often leave the sides as they were said.
-    turned = (taken[1], taken[0])
-    if _is_resized(taken, now) or (_is_resized(turned, now) and not cropped):
-        return math.hypot(*now) / math.hypot(*taken), f", and it had {said}"
-    if not _is_resized(turned, now) and (cropped or _is_cropped(turned, now)):
-        return 1.0, f", and it was cropped: it had {said}"
-    raise _Unknown(f"it has {now[0]} x {now[1]} pixels and had {said}, and nobody can tell how much it was resized")
+    stories = [_story(taken, now)]
+    if (taken[0] > taken[1]) != (now[0] > now[1]):  # a program may have turned it, and left its sides as they were said
+        stories.append(_story((taken[1], taken[0]), now))
+    told = [story for story in stories if story is not None]
+    if not told or max(told)[0] > _SAME_FACTOR * min(told)[0]:
+        raise _Unknown(f"it has {now[0]} x {now[1]} pixels and had {said}, and nobody can tell how much it was resized")
+    factor, became = told[0]
+    return factor, f", and it {became} {said}"
 
 
-def _is_resized(taken: tuple[int, int], now: tuple[int, int]) -> bool:
-    """Return True for the same proportions: a side that is rounded to whole pixels is wrong by less than one."""
-    return abs(now[0] * taken[1] - now[1] * taken[0]) <= sum(taken)
-
-
-def _is_cropped(taken: tuple[int, int], now: tuple[int, int]) -> bool:
-    """Return True where one side is whole, and the other is shorter."""
+def _story(taken: tuple[int, int], now: tuple[int, int]) -> tuple[float, str] | None:
+    """Return by how much a photo was resized if it was not turned, and what became of it; None where that cannot be."""
     missing = [before - after for before, after in zip(taken, now, strict=True)]
-    return min(missing) >= 0 and any(
-        side < min(_BLOCK, 1 + before // 50) for side, before in zip(missing, taken, strict=True)
-    )
+    inside = min(missing) >= 0
+    cropped = 1.0, "was cropped: it had"
+    if inside and 0 in missing:
+        return cropped
+    # The same proportions: a side that is rounded to whole pixels is wrong by less than one.
+    if abs(now[0] * taken[1] - now[1] * taken[0]) < sum(taken):
+        return math.hypot(*now) / math.hypot(*taken), "had"
+    whole = (side < min(_BLOCK, 1 + before // 50) for side, before in zip(missing, taken, strict=True))
+    return cropped if inside and any(whole) else None
 
 
 def _zoom(notes: PhotoNotes) -> float:
