@@ -1,9 +1,9 @@
 """Jumps of depth: where a camera sees past the border of a thing to what is behind it.
 
 Neither networks nor resized depth maps have sharp jumps: between the two surfaces lies a ramp of some pixels, which
-belong to nobody and fly in the air. A ramp differs from a floor that is seen nearly along it by its ends: the floor goes
-on as steep as it is. The inverse depth of a plane is a linear function of the pixel's place (its differences are equal
-everywhere), so that ramps show by differences that are larger than those at both sides.
+belong to nobody and fly in the air. A ramp differs from a floor that is seen nearly along it by its ends: the floor
+goes on as steep as it is. The inverse depth of a plane is a linear function of the pixel's place (its differences are
+equal everywhere), so that ramps show by differences that are larger than those at both sides.
 """
 
 import math
@@ -14,6 +14,8 @@ from jaxtyping import Bool, Float, Float32
 
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.points import check_size, known_depth
+
+Focal = float | Float[np.ndarray, "rows 1"]
 
 STEEP = 3.0
 """Change in depth for a step across the line of sight, both in metres, beyond which a surface is suspected to be none:
@@ -54,8 +56,7 @@ def jumps(
         InputError: the camera is that of another size.
     """
     check_size(depth, camera)
-    inverse = inverse_depth(depth)
-    return _gaps(inverse, camera.fx), _gaps(inverse.T, camera.fy).T
+    return find_jumps(depth, camera.fx, camera.fy)
 
 
 def flying_pixels(depth: Float[np.ndarray, "height width"], camera: Camera) -> Bool[np.ndarray, "height width"]:
@@ -71,22 +72,44 @@ def flying_pixels(depth: Float[np.ndarray, "height width"], camera: Camera) -> B
         InputError: the camera is that of another size.
     """
     check_size(depth, camera)
+    return find_flying(depth, camera.fx, camera.fy)
+
+
+def find_jumps(
+    depth: Float[np.ndarray, "height width"], across: Focal, along: float
+) -> tuple[Bool[np.ndarray, "height gaps_across"], Bool[np.ndarray, "gaps_along width"]]:
+    """Return where two neighbouring pixels do not see one surface, as ``jumps`` does, for any kind of camera.
+
+    Args:
+        depth: metres along the optical axis; for panoramas, along the ray.
+        across: pixels of a row that a radian straight ahead takes; one number for each row (rows, 1) where they differ.
+        along: pixels of a column that a radian straight ahead takes.
+    """
+    inverse = inverse_depth(depth)
+    return _gaps(inverse, across), _gaps(inverse.T, along).T
+
+
+def find_flying(
+    depth: Float[np.ndarray, "height width"], across: Focal, along: float
+) -> Bool[np.ndarray, "height width"]:
+    """Return the pixels that hang in the air, as ``flying_pixels`` does, for any kind of camera: see ``find_jumps``."""
     flying = np.zeros(depth.shape, bool)
     step = 1
     while step == 1 or max(depth.shape) >= _FINEST * step:
         coarse = depth[step // 2 :: step, step // 2 :: step]
-        found = _flying(coarse, camera.fx / step, camera.fy / step)
+        coarse_across = across[step // 2 :: step] if isinstance(across, np.ndarray) else across
+        found = _flying(coarse, coarse_across / step, along / step)
         flying |= found if step == 1 else _enlarged(found, step, depth.shape)
         step *= 2
     return flying
 
 
-def _gaps(inverse: Float32[np.ndarray, "rows columns"], focal: float) -> Bool[np.ndarray, "rows gaps"]:
+def _gaps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np.ndarray, "rows gaps"]:
     """Return where neighbours of a row are not of one surface."""
     gaps = np.ones((inverse.shape[0], max(0, inverse.shape[1] - 1)), bool)
     for some in _blocks(inverse.shape):
         values = np.ascontiguousarray(inverse[some])
-        rises, falls = _steep(values, focal, _SHARP)
+        rises, falls = _steep(values, _of_rows(focal, some), _SHARP)
         before, after = values[:, :-1], values[:, 1:]
         with np.errstate(invalid="ignore", divide="ignore"):
             near = 1 / np.maximum(before, after)
@@ -95,11 +118,11 @@ def _gaps(inverse: Float32[np.ndarray, "rows columns"], focal: float) -> Bool[np
     return gaps
 
 
-def _flying(depth: Float[np.ndarray, "height width"], fx: float, fy: float) -> Bool[np.ndarray, "height width"]:
+def _flying(depth: Float[np.ndarray, "height width"], across: Focal, along: float) -> Bool[np.ndarray, "height width"]:
     """Return the flying pixels in ramps of a few pixels."""
     inverse = inverse_depth(depth)
-    ramp = _ramps(inverse, fx)
-    ramp |= _ramps(inverse.T, fy).T
+    ramp = _ramps(inverse, across)
+    ramp |= _ramps(inverse.T, along).T
     surface = ~ramp & ~np.isnan(inverse)
     row, column = np.nonzero(ramp)
     z = depth[row, column]
@@ -119,11 +142,11 @@ def _flying(depth: Float[np.ndarray, "height width"], fx: float, fy: float) -> B
     return flying
 
 
-def _ramps(inverse: Float32[np.ndarray, "rows columns"], focal: float) -> Bool[np.ndarray, "rows columns"]:
+def _ramps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np.ndarray, "rows columns"]:
     """Return the pixels that lie in the midst of a ramp along their row."""
     ramp = np.zeros(inverse.shape, bool)
     for some in _blocks(inverse.shape):
-        rises, falls = _steep(np.ascontiguousarray(inverse[some]), focal, _REACH)
+        rises, falls = _steep(np.ascontiguousarray(inverse[some]), _of_rows(focal, some), _REACH)
         steep = _filled(_of_two(rises) | _of_two(falls))
         ramp[some, 1:-1] = steep[:, 1:] & steep[:, :-1]
         ramp[some, :1], ramp[some, -1:] = steep[:, :1], steep[:, -1:]
@@ -131,7 +154,7 @@ def _ramps(inverse: Float32[np.ndarray, "rows columns"], focal: float) -> Bool[n
 
 
 def _steep(
-    inverse: Float32[np.ndarray, "rows columns"], focal: float, reach: tuple[int, ...]
+    inverse: Float32[np.ndarray, "rows columns"], focal: Focal, reach: tuple[int, ...]
 ) -> tuple[Bool[np.ndarray, "rows gaps"], Bool[np.ndarray, "rows gaps"]]:
     """Return where the inverse depth (rises, falls) steeply between neighbours of a row, other than at both sides.
 
@@ -140,7 +163,7 @@ def _steep(
         reach: distances in pixels at which the sides are looked at; it is enough if one finds the difference.
     """
     steps = np.diff(inverse, axis=1)
-    least = np.minimum(inverse[:, 1:], inverse[:, :-1]) * np.float32(STEEP / focal)
+    least = np.minimum(inverse[:, 1:], inverse[:, :-1]) * np.asarray(STEEP / focal, np.float32)
     n, margin = steps.shape[1], max(reach)
     rises, falls = np.zeros(steps.shape, bool), np.zeros(steps.shape, bool)
     if not n:
@@ -181,6 +204,10 @@ def _enlarged(coarse: Bool[np.ndarray, "rows columns"], step: int, size: tuple[i
         np.minimum(np.arange(side) // step, n - 1) for side, n in zip(size, coarse.shape, strict=True)
     )  # the pixel that is looked at is the middle one of its block
     return coarse[row][:, column]
+
+
+def _of_rows(focal: Focal, rows: slice) -> Focal:
+    return focal[rows] if isinstance(focal, np.ndarray) else focal
 
 
 def _blocks(shape: tuple[int, ...]) -> Iterator[slice]:

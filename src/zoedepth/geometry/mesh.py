@@ -29,8 +29,8 @@ class Mesh:
     """Place in the photo: from (0, 0), the top left corner, to (1, 1), the bottom right one, as glTF has it."""
     normals: Float32[np.ndarray, "vertices 3"]
     """Unit vectors towards the side from which the camera sees the surface."""
-    camera: Camera
-    """The camera that sees it so."""
+    camera: Camera | None
+    """The camera that sees it so; None for a panorama."""
 
 
 def build_mesh(
@@ -58,7 +58,8 @@ def build_mesh(
         valid = ~flying_pixels(depth, camera)
     if valid.shape != depth.shape:
         raise InputError(f"valid has shape {valid.shape} and the depth {depth.shape}: give them the same size")
-    step, top, left = _step(depth.shape, max_triangles)
+    step = grid_step(depth.shape, max_triangles)
+    top, left = ((side - 1) % step // 2 for side in depth.shape)
     depth, valid = depth[top::step, left::step], valid[top::step, left::step]
     # The camera that sees no other pixels than those.
     seen = replace(
@@ -70,7 +71,7 @@ def build_mesh(
         cy=(camera.cy - top) / step,
     )
     taken = valid & known_depth(depth)
-    faces = _faces(depth, taken, seen)
+    faces = join(depth, taken, *jumps(np.where(taken, depth, np.nan), seen))
     used = np.zeros(depth.size, bool)
     used[faces] = True
     places = np.flatnonzero(used)
@@ -92,22 +93,39 @@ def simplify(mesh: Mesh, max_triangles: int) -> Mesh:
     """Return a mesh of the same shape with at most ``max_triangles`` triangles, fewer where the surface is flat.
 
     Raises:
+        InputError: ``max_triangles`` is below 1, or the mesh is that of a panorama: give ``max_triangles`` when it is
+            built.
+        MissingExtraError: fast-simplification is not installed.
+    """
+    if mesh.camera is None:
+        raise InputError("the mesh of a panorama is not simplified later: give max_triangles when you build it")
+    vertices, faces = reduce_triangles(mesh.vertices, mesh.faces, max_triangles)
+    if faces is mesh.faces:
+        return mesh
+    place = mesh.camera.project(vertices.astype(np.float64)) + 0.5
+    uv = (place / (mesh.camera.size[1], mesh.camera.size[0])).astype(np.float32)
+    return Mesh(vertices, faces, uv, vertex_normals(vertices, faces), mesh.camera)
+
+
+def reduce_triangles(
+    vertices: Float32[np.ndarray, "vertices 3"], faces: Int32[np.ndarray, "faces 3"], max_triangles: int
+) -> tuple[Float32[np.ndarray, "fewer 3"], Int32[np.ndarray, "fewer_faces 3"]]:
+    """Return vertices and faces of the same shape with at most ``max_triangles`` faces; the same ones if they are few.
+
+    Raises:
         InputError: ``max_triangles`` is below 1.
         MissingExtraError: fast-simplification is not installed.
     """
-    _check(max_triangles)
-    if len(mesh.faces) <= max_triangles:
-        return mesh
+    check_triangles(max_triangles)
+    if len(faces) <= max_triangles:
+        return vertices, faces
     try:
         import fast_simplification
     except ImportError as error:
         raise MissingExtraError("mesh", "simplifying a mesh") from error
     with _SIMPLIFYING:
-        vertices, faces = fast_simplification.simplify(mesh.vertices, mesh.faces, target_count=max_triangles)
-    vertices, faces = vertices.astype(np.float32), faces.astype(np.int32)
-    place = mesh.camera.project(vertices.astype(np.float64)) + 0.5
-    uv = (place / (mesh.camera.size[1], mesh.camera.size[0])).astype(np.float32)
-    return Mesh(vertices, faces, uv, vertex_normals(vertices, faces), mesh.camera)
+        fewer, fewer_faces = fast_simplification.simplify(vertices, faces, target_count=max_triangles)
+    return fewer.astype(np.float32), fewer_faces.astype(np.int32)
 
 
 def vertex_normals(
@@ -123,34 +141,53 @@ def vertex_normals(
     return (total / np.where(length > 0, length, 1)).astype(np.float32)
 
 
-def _check(max_triangles: int) -> None:
+def check_triangles(max_triangles: int) -> None:
+    """Refuse a number of triangles that no mesh can have.
+
+    Raises:
+        InputError: it is below 1.
+    """
     if max_triangles < 1:
         raise InputError(f"a mesh has at least 1 triangle, got max_triangles={max_triangles}")
 
 
-def _step(size: tuple[int, ...], max_triangles: int | None) -> tuple[int, int, int]:
-    """Return how many pixels apart those are that the mesh is made of, and the first row and column.
+def grid_step(size: tuple[int, ...], max_triangles: int | None) -> int:
+    """Return how many pixels apart those are that a mesh of at most ``max_triangles`` is made of.
 
     Of a grid of as many pixels as there may be triangles ``simplify`` leaves half, where the surface is not flat.
+
+    Raises:
+        InputError: ``max_triangles`` is below 1.
     """
     if max_triangles is None:
-        return 1, 0, 0
-    _check(max_triangles)
-    step = min(math.ceil(math.sqrt(size[0] * size[1] / max_triangles)), max(1, min(size) // _FEWEST))
-    return step, (size[0] - 1) % step // 2, (size[1] - 1) % step // 2
+        return 1
+    check_triangles(max_triangles)
+    return min(math.ceil(math.sqrt(size[0] * size[1] / max_triangles)), max(1, min(size) // _FEWEST))
 
 
-def _faces(
-    depth: Float[np.ndarray, "height width"], taken: Bool[np.ndarray, "height width"], camera: Camera
+def join(
+    depth: Float[np.ndarray, "height width"],
+    taken: Bool[np.ndarray, "height width"],
+    across: Bool[np.ndarray, "height gaps_across"],
+    along: Bool[np.ndarray, "gaps_along width"],
 ) -> Int32[np.ndarray, "faces 3"]:
-    """Return the triangles as flat pixel numbers: of each square of four neighbours the two, the one, or none."""
+    """Return the triangles between neighbouring pixels: of each square of four the two, the one, or none.
+
+    Args:
+        depth: metres; the diagonal of a square goes between the two corners that are nearer to each other.
+        taken: pixels that may be corners.
+        across: gaps between neighbours of a row that no triangle bridges, as ``jumps`` returns them.
+        along: the same for neighbours of a column.
+
+    Returns:
+        Numbers of pixels, counted row by row, counterclockwise as the camera sees them.
+    """
     height, width = depth.shape
-    across, along = jumps(np.where(taken, depth, np.nan), camera)
     top, bottom, left, right = ~across[:-1], ~across[1:], ~along[:, :-1], ~along[:, 1:]
     with np.errstate(invalid="ignore", divide="ignore"):
         inverse = 1 / depth
         falls = np.abs(inverse[:-1, :-1] - inverse[1:, 1:]) <= np.abs(inverse[:-1, 1:] - inverse[1:, :-1])
-    # The diagonal goes between the two corners that are nearer to each other; a lone corner takes what is left.
+    # A square with a corner missing has only one diagonal.
     falls = np.where(taken[:-1, :-1] & taken[1:, 1:], falls | ~(taken[:-1, 1:] & taken[1:, :-1]), False)
     number = np.arange(height * width, dtype=np.int32).reshape(height, width)
     nw, ne, sw, se = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
