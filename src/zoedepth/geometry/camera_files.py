@@ -112,10 +112,12 @@ def read_camera(path: str | Path, size: tuple[int, int]) -> Camera:
 def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:
     """Refuse numbers that are not of pixels, or of pixels of a photo of another size."""
     height, width = camera.size
-    if max(camera.fov_x, camera.fov_y) > _MAX_FOV:
+    # As if the axis went through the middle: numbers in parts of the sides have it in the first pixel.
+    fov = [2 * math.degrees(math.atan2(side / 2, focal)) for side, focal in ((width, camera.fx), (height, camera.fy))]
+    if max(fov) > _MAX_FOV:
         raise InputError(
-            f"focal lengths of {camera.fx:g} and {camera.fy:g} pixels are a field of view of {camera.fov_x:.4g} x "
-            f"{camera.fov_y:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply "
+            f"focal lengths of {camera.fx:g} and {camera.fy:g} pixels are a field of view of {fov[0]:.4g} x "
+            f"{fov[1]:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply "
             "them and the principal point by its width and height"
         )
     if not size_is_known and not (-_HALF <= camera.cx <= width - _HALF and -_HALF <= camera.cy <= height - _HALF):
