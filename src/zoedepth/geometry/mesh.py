@@ -124,8 +124,8 @@ def reduce_triangles(
     except ImportError as error:
         raise MissingExtraError("mesh", "simplifying a mesh") from error
     with _SIMPLIFYING:
-        fewer, fewer_faces = fast_simplification.simplify(vertices, faces, target_count=max_triangles)
-    return fewer.astype(np.float32), fewer_faces.astype(np.int32)
+        result = fast_simplification.simplify(vertices, faces, target_count=max_triangles)
+    return result[0].astype(np.float32), result[1].astype(np.int32)
 
 
 def vertex_normals(

@@ -25,8 +25,8 @@ def estimate_normals(depth: Float[np.ndarray, "height width"], camera: Camera) -
     check_size(depth, camera)
     inverse = inverse_depth(depth)
     across, along = jumps(depth, camera)
-    slope_x = _slope(inverse, ~across) * np.float32(camera.fx)
-    slope_y = _slope(inverse.T, ~along.T).T * np.float32(camera.fy)
+    slope_x = slope(inverse, ~across) * np.float32(camera.fx)
+    slope_y = slope(inverse.T, ~along.T).T * np.float32(camera.fy)
     columns = ((np.arange(camera.size[1]) - camera.cx) / camera.fx).astype(np.float32)
     rows = ((np.arange(camera.size[0]) - camera.cy) / camera.fy).astype(np.float32)
     normals = np.stack([-slope_x, -slope_y, slope_x * columns[None] + slope_y * rows[:, None] - inverse], axis=-1)
@@ -34,7 +34,7 @@ def estimate_normals(depth: Float[np.ndarray, "height width"], camera: Camera) -
     return normals
 
 
-def _slope(
+def slope(
     values: Float32[np.ndarray, "rows columns"], same: Bool[np.ndarray, "rows gaps"]
 ) -> Float32[np.ndarray, "rows columns"]:
     """Return the slope of each row, from the neighbours that are on the same surface; 0 without one."""

@@ -10,16 +10,17 @@ its own; ``merge`` makes the scales agree where views overlap, and blends.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, Shaped, UInt8
 from PIL import Image
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
-from zoedepth.geometry.jumps import find_flying, find_jumps
+from zoedepth.geometry.jumps import find_flying, find_jumps, inverse_depth
 from zoedepth.geometry.mesh import Mesh, grid_step, join, reduce_triangles, vertex_normals
+from zoedepth.geometry.normals import slope
 from zoedepth.geometry.points import known_depth
 
 FOV = 90.0
@@ -34,9 +35,6 @@ _WIDE = 600
 _COMPARED = 256  # rows of the panorama at which overlapping views are compared
 _FEW = 50  # pixels that two views must share to be compared
 _SHARPNESS = 2  # of the borders between views in the blend
-
-
-Picture = TypeVar("Picture", UInt8[np.ndarray, "_ _ 3"], Float32[np.ndarray, "_ _"])
 
 
 class View(NamedTuple):
@@ -59,7 +57,7 @@ class Merged(NamedTuple):
 
 
 def panorama_views(size: tuple[int, int] = (480, 640)) -> list[View]:
-    """Return cameras that see all of a panorama, each place at least twice: see ``RINGS``.
+    """Return cameras that see all of a panorama, each place three times on average: see ``RINGS``.
 
     Args:
         size: (height, width) of each view, 4 : 3 or taller.
@@ -89,7 +87,9 @@ def sharp_height(view: View) -> int:
     return round(math.pi * view.camera.focal_px)
 
 
-def resized(panorama: Picture, size: tuple[int, int]) -> Picture:
+def resized(
+    panorama: Shaped[np.ndarray, "height width *channels"], size: tuple[int, int]
+) -> Shaped[np.ndarray, "_ _ *channels"]:
     """Return a panorama, a photo or distances, at another (height, width): its left and right border are neighbours.
 
     Raises:
@@ -150,6 +150,28 @@ def panorama_points(distance: Float[np.ndarray, "height width"]) -> Float32[np.n
     check_panorama(distance.shape)
     known = np.where(known_depth(distance), distance, np.nan).astype(np.float32)
     return directions((distance.shape[0], distance.shape[1])) * known[..., None]
+
+
+def panorama_normals(distance: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width 3"]:
+    """Return the unit normal of the surface at each pixel of a panorama, see ``normals.estimate_normals``.
+
+    Raises:
+        InputError: the panorama is not twice as wide as high.
+    """
+    check_panorama(distance.shape)
+    height, width = distance.shape
+    closed = _wrapped(distance, 1)
+    inverse = inverse_depth(closed)
+    across, along = _jumps_around(distance)
+    focal_across, focal_along = _focals(height, width)
+    # Of a plane, the inverse distance is a linear function of the ray, whose gradient is the normal.
+    to_right = (slope(inverse, ~across) * focal_across.astype(np.float32))[:, 1:-1, None]
+    downwards = (slope(inverse.T, ~along.T).T * np.float32(focal_along))[:, 1:-1, None]
+    longitude, latitude = _angles(height, width)
+    right = _unit(longitude[None] + math.pi / 2, np.zeros((1, 1)))
+    below = _unit(longitude[None], latitude[:, None] - math.pi / 2)
+    normals = -(inverse[:, 1:-1, None] * directions((height, width)) + to_right * right + downwards * below)
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
 def flying_in_panorama(distance: Float[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
@@ -335,7 +357,9 @@ def _agreement(
     return shifts, total / shared if shared else 0.0
 
 
-def _wrapped(panorama: Picture, margin: int) -> Picture:
+def _wrapped(
+    panorama: Shaped[np.ndarray, "height width *channels"], margin: int
+) -> Shaped[np.ndarray, "height _ *channels"]:
     """Return a panorama with its last columns repeated before the first, and its first behind the last."""
     return np.concatenate([panorama[:, panorama.shape[1] - margin :], panorama, panorama[:, :margin]], axis=1)
 
@@ -343,6 +367,16 @@ def _wrapped(panorama: Picture, margin: int) -> Picture:
 def _focals(height: int, width: int) -> tuple[Float[np.ndarray, "height 1"], float]:
     """Return how many pixels of each row, and of a column, a radian takes."""
     return width / (2 * math.pi) / np.cos(_angles(height, width)[1])[:, None], height / math.pi
+
+
+def _jumps_around(
+    distance: Float[np.ndarray, "height width"],
+) -> tuple[Bool[np.ndarray, "height gaps_across"], Bool[np.ndarray, "gaps_along columns"]]:
+    """Return the jumps of a panorama with its last column before the first, and its first one behind the last."""
+    height, width = distance.shape
+    margin = min(_MARGIN, width)
+    across, along = find_jumps(_wrapped(distance, margin), *_focals(height, width))
+    return across[:, margin - 1 : margin + width], along[:, margin - 1 : margin + width + 1]
 
 
 def _faces_around(
@@ -353,11 +387,9 @@ def _faces_around(
     They are counterclockwise as seen from the middle.
     """
     height, width = distance.shape
-    margin = min(_MARGIN, width)
-    across, along = find_jumps(_wrapped(distance, margin), *_focals(height, width))
-    across, along = across[:, margin : margin + width], along[:, margin : margin + width + 1]
-    closed = np.s_[:, margin : margin + width + 1]
-    faces = join(_wrapped(distance, margin)[closed], _wrapped(taken, margin)[closed], across, along)
+    across, along = _jumps_around(distance)
+    across, along = across[:, 1:], along[:, 1:]
+    faces = join(_wrapped(distance, 1)[:, 1:], _wrapped(taken, 1)[:, 1:], across, along)
     faces = faces // (width + 1) * width + faces % (width + 1) % width
     fans = []
     for row, pole in ((0, height * width), (height - 1, height * width + 1)):
