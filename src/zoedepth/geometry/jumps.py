@@ -145,6 +145,8 @@ def _flying(depth: Float[np.ndarray, "height width"], across: Focal, along: floa
 def _ramps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np.ndarray, "rows columns"]:
     """Return the pixels that lie in the midst of a ramp along their row."""
     ramp = np.zeros(inverse.shape, bool)
+    if inverse.shape[1] < 2:
+        return ramp
     for some in _blocks(inverse.shape):
         rises, falls = _steep(np.ascontiguousarray(inverse[some]), _of_rows(focal, some), _REACH)
         steep = _filled(_of_two(rises) | _of_two(falls))
