@@ -3,6 +3,7 @@
 import copy
 import dataclasses
 import io
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +21,8 @@ from torch import Tensor, nn
 from zoedepth.config import INDOOR, OUTDOOR, ModelConfig, NaiveConfig, RouterConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.predict import Predictor
 
@@ -339,6 +342,206 @@ def test_each_photo_of_a_batch_takes_its_own_head(brightness: Brightness) -> Non
     photo = smooth((64, 96))
     results = Predictor(brightness, flip_average=False).batch([photo, photo[:, ::-1], photo])
     assert [result.domain for result in results] == ["indoor", "outdoor", "indoor"]
+
+
+# ------------------------------------------------------------------------------------------------------------- cameras
+
+FOCAL_PX = 80.0
+"""Of the training photos in these tests, in pixels of the network's input."""
+
+
+def taken_with(path: Path, film_focal: object, *, size: tuple[int, int] = (64, 96)) -> Path:
+    """Write a photo whose notes say this focal length in terms of 35-mm film; None writes no notes."""
+    exif = Image.Exif()
+    if film_focal is not None:
+        exif[0x0112] = 1  # without a tag of its own, Pillow leaves the directory out
+        exif.get_ifd(0x8769)[0xA405] = film_focal
+    Image.fromarray(smooth(size)).save(path, exif=exif)
+    return path
+
+
+def film_camera(film_focal: float, size: tuple[int, int]) -> Camera:
+    return Camera.from_focal(film_focal / math.hypot(36, 24) * math.hypot(*size), size, source="exif")
+
+
+@pytest.mark.parametrize(
+    ("camera", "canonical", "wanted", "corrected"),
+    [
+        ("exif", True, None, True),
+        ("exif", False, None, False),
+        ("exif", False, True, True),
+        ("exif", True, False, False),
+        ("given", True, None, True),
+        ("given", False, None, True),
+        ("given", False, False, False),
+        ("none", True, None, False),
+        ("none", False, True, False),
+    ],
+)
+def test_depth_is_corrected_where_the_camera_is_given_or_the_model_has_one_camera(
+    tmp_path: Path, camera: str, canonical: bool, wanted: bool | None, corrected: bool
+) -> None:
+    """Twice the focal length, twice the depth, and twice the standard deviation. Nobody's camera corrects nothing."""
+    path = taken_with(tmp_path / "photo.jpg", 50)
+    given = Camera.from_focal(123.0, (64, 96))
+    model = Brightness(canonical=canonical, focal_px=FOCAL_PX)
+    choice = given if camera == "given" else camera
+    result = Predictor(model, pad=False, camera=choice, focal_correction=wanted)(path, domain="indoor")
+    plain = Predictor(Brightness(), pad=False, camera="none")(path, domain="indoor")
+    truth = {
+        "exif": film_camera(50, (64, 96)),
+        "given": given,
+        "none": Camera.from_focal(FOCAL_PX, (64, 96), source="assumed"),
+    }
+    assert result.camera == truth[camera]
+    factor = truth[camera].fx / FOCAL_PX if corrected else 1.0  # the network sees the photo as it is
+    assert result.focal_correction == pytest.approx(factor, rel=1e-9)
+    np.testing.assert_allclose(result.depth, plain.depth * factor, rtol=1e-6)
+    np.testing.assert_allclose(result.std, plain.std * factor, rtol=1e-6)
+    assert result.depth_range == pytest.approx((1e-3 * factor, 10 * factor))
+    if not corrected:
+        np.testing.assert_array_equal(result.depth, plain.depth)
+
+
+@pytest.mark.parametrize("pad", [True, False])
+@pytest.mark.parametrize("size", [(128, 192), (97, 131), (200, 150), (24, 120)])
+def test_the_assumed_camera_is_that_of_the_training_photos(size: tuple[int, int], pad: bool) -> None:
+    """Said to be given, it would correct nothing."""
+    predictor = Predictor(Brightness(focal_px=FOCAL_PX), pad=pad)
+    assumed = predictor(smooth(size)).camera
+    assert (assumed.source, assumed.size) == ("assumed", size)
+    assert predictor(smooth(size), camera=assumed.intrinsics).focal_correction == pytest.approx(1)
+    assert predictor(smooth(size), camera=assumed).focal_correction == 1
+    nothing_known = Predictor(Brightness())(smooth(size)).camera
+    assert nothing_known.source == "assumed"
+    assert nothing_known.fov_x == pytest.approx(60)
+
+
+def test_padding_makes_the_focal_length_shorter() -> None:
+    """The network sees a padded photo at a smaller scale."""
+    photo, camera = smooth((64, 96)), Camera.from_focal(100.0, (64, 96))
+    model = Brightness(focal_px=FOCAL_PX)
+    padded = Predictor(model, pad=True)(photo, camera=camera).focal_correction
+    expected = 100 / FOCAL_PX * math.sqrt(64 / (64 + 2 * 16) * 96 / (96 + 2 * 20))  # 3 sqrt(side / 2)
+    assert padded == pytest.approx(expected)
+
+
+def test_given_intrinsics_come_back_to_the_last_bit() -> None:
+    intrinsics = Intrinsics(0.1 + 0.2 + 90, 100 / 3, 47.000000000000014, 31.1)
+    result = Predictor(Brightness(focal_px=FOCAL_PX))(smooth((64, 96)), camera=intrinsics)
+    assert result.camera.intrinsics == intrinsics
+    assert result.camera.source == "given"
+    assert result.intrinsics.tolist() == [
+        [intrinsics.fx, 0, intrinsics.cx],
+        [0, intrinsics.fy, intrinsics.cy],
+        [0, 0, 1],
+    ]
+
+
+def test_a_camera_for_each_photo_or_one_for_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """None is that of the predictor, which asks the notes here."""
+    path = taken_with(tmp_path / "photo.jpg", 35)
+    photos = [path, path, smooth((64, 96)), smooth((50, 70))]
+    cameras = [Lens(fov_x=50), None, None, Intrinsics(70.0, 71.0, 30.0, 20.0)]
+    for together in (False, True):
+        monkeypatch.setattr(Predictor, "_one_by_one", not together)
+        predictor = Predictor(Brightness(focal_px=FOCAL_PX, canonical=True))
+        results = predictor.batch(photos, camera=cameras, batch_size=3)
+        assert [result.camera.source for result in results] == ["given", "exif", "assumed", "given"]
+        for photo, camera, result in zip(photos, cameras, results, strict=True):
+            assert_same(result, predictor(photo, camera=camera), atol=1e-5)
+            assert result.camera == predictor(photo, camera=camera).camera
+        assert {result.camera.fov_x for result in predictor.batch(photos[:3], camera=Lens(fov_x=50))} == {
+            results[0].camera.fov_x
+        }
+    with pytest.raises(InputError, match="4 photos and 3 cameras"):
+        predictor.batch(photos, camera=cameras[:3])
+
+
+def test_a_predictor_s_camera_may_be_of_another_size_but_not_of_other_proportions() -> None:
+    camera = Camera((480, 720), 600.0, 601.0, 350.0, 250.0)
+    predictor = Predictor(Brightness(focal_px=FOCAL_PX), camera=camera)
+    assert predictor(smooth((64, 96))).camera == camera.resized((64, 96))
+    with pytest.raises(InputError, match="of photos of 720 x 480 pixels, and the photo has 90 x 64"):
+        predictor(smooth((64, 90)))
+    assert predictor(smooth((64, 90)), camera="none").camera.source == "assumed"
+
+
+@pytest.mark.parametrize(
+    ("film_focal", "note"), [(None, "no EXIF"), (0, "nonsense"), (65535, "nonsense"), ("telephoto", "nonsense")]
+)
+def test_notes_that_tell_no_camera_leave_the_assumed_one_and_the_reason(
+    tmp_path: Path, film_focal: object, note: str
+) -> None:
+    path = taken_with(tmp_path / "photo.png", film_focal)
+    result = Predictor(Brightness(focal_px=FOCAL_PX, canonical=True))(path)
+    assert (result.camera.source, result.focal_correction) == ("assumed", 1)
+    assert note in result.camera_note
+    assert Predictor(Brightness(), camera="none")(path).camera_note == ""
+
+
+def test_damaged_notes_are_no_reason_not_to_predict(tmp_path: Path) -> None:
+    path = taken_with(tmp_path / "photo.jpg", 35)
+    content = path.read_bytes()
+    start = content.index(b"Exif\0\0")
+    path.write_bytes(content[: start + 10] + b"\xff" * 12 + content[start + 22 :])
+    assert Predictor(Brightness(focal_px=FOCAL_PX, canonical=True))(path).camera.source == "assumed"
+
+
+def test_notes_are_read_from_files_streams_and_pil_images(tmp_path: Path) -> None:
+    path = taken_with(tmp_path / "photo.jpg", 35)
+
+    class Pipe(io.BytesIO):
+        def seekable(self) -> bool:
+            return False
+
+    predictor = Predictor(Brightness())
+    with Image.open(path) as picture, path.open("rb") as file:
+        for source in (path, str(path), file, Pipe(path.read_bytes()), picture):
+            assert predictor(source).camera == film_camera(35, (64, 96))
+
+
+def test_infer_corrects_each_photo_by_its_own_camera(tiny_config: ModelConfig) -> None:
+    """As a call does; gradients are scaled, too."""
+    domains = tuple(replace(domain, focal_px=FOCAL_PX) for domain in tiny_config.domains)
+    model = ZoeDepth(replace(tiny_config, domains=domains)).eval()
+    photos = [smooth((50, 70), seed) for seed in range(3)]
+    pixels = torch.stack([torch.from_numpy(photo).permute(2, 0, 1) for photo in photos]) / 255
+    cameras = [Lens(fov_x=40), "none", Intrinsics(60.0, 60.0, 35.0, 25.0)]
+    predictor = Predictor(model)
+    depth = predictor.infer(pixels, camera=cameras).detach()
+    for row, (photo, camera) in enumerate(zip(photos, cameras, strict=True)):
+        np.testing.assert_allclose(depth[row, 0], predictor(photo, camera=camera).depth, rtol=1e-4)
+    pixels.requires_grad_()
+    (plain,) = torch.autograd.grad(predictor.infer(pixels).sum(), pixels)
+    (scaled,) = torch.autograd.grad(predictor.infer(pixels, camera=Intrinsics(160.0, 160.0, 35.0, 25.0)).sum(), pixels)
+    factor = predictor(photos[0], camera=Intrinsics(160.0, 160.0, 35.0, 25.0)).focal_correction
+    torch.testing.assert_close(scaled, plain * factor, rtol=1e-4, atol=1e-6)
+    with pytest.raises(InputError, match="3 photos and 2 cameras"):
+        predictor.infer(pixels, camera=cameras[:2])
+    with pytest.raises(InputError, match="of photos of 100 x 100 pixels"):
+        predictor.infer(pixels, camera=Camera.from_focal(50.0, (100, 100)))
+
+
+def test_what_cannot_be_a_camera_is_refused(unchecked_types: None) -> None:
+    for wrong in ("exiv", 70, np.eye(3), object()):
+        with pytest.raises(InputError, match="camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none'"):
+            Predictor(Brightness(), camera=wrong)
+        with pytest.raises(InputError, match="camera must be a Camera"):
+            Predictor(Brightness())(smooth((64, 96)), camera=wrong)
+    for wrong in (0.0, -500.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="focal length"):
+            Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(wrong, 500.0, 40.0, 30.0))
+    with pytest.raises(InputError, match="principal point"):
+        Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(500.0, 500.0, math.nan, 30.0))
+
+
+def test_a_model_of_unknown_focal_length_is_not_corrected_and_says_so_where_it_is_asked_to() -> None:
+    assert Predictor(Brightness())(smooth((64, 96)), camera=Lens(fov_x=20)).focal_correction == 1
+    with pytest.raises(
+        InputError, match=r"not say with what focal length.*indoor, outdoor.*leave focal_correction out"
+    ):
+        Predictor(Brightness(), focal_correction=True)
 
 
 # ------------------------------------------------------------------------------------------------------ relative depth

@@ -281,7 +281,7 @@ class Predictor:
     def _photo(self, image: Any, choice: CameraChoice | None) -> _Photo:
         """Read a photo, and find out its camera."""
         note, choice = "", self.camera if choice is None else choice
-        if choice == "exif":
+        if isinstance(choice, str) and choice == "exif":
             photo, notes = to_image_with_notes(image)
             known = read_exif_camera(notes, _size(photo))
             camera, note = known.camera, known.reason
