@@ -1,5 +1,6 @@
 """GLB, read by pygltflib and by trimesh, which did not write it."""
 
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 
@@ -18,6 +19,7 @@ trimesh = pytest.importorskip("trimesh")
 
 SIZE = (6, 8)
 CAMERA = Camera(SIZE, 10.0, 11.0, 3.0, 2.5, "exif")
+IMAGE = np.full((3, 4, 3), 90, np.uint8)
 PLANE = build_mesh(np.full(SIZE, 2, np.float32), CAMERA)
 TYPES = {5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
@@ -59,7 +61,7 @@ def test_room_has_its_true_size_and_is_not_mirrored(tmp_path: Path, max_triangle
 
 
 def test_says_all_that_the_standard_asks_for(tmp_path: Path) -> None:
-    write_glb(tmp_path / "folder" / "a.glb", PLANE, image=np.full((3, 4, 3), 90, np.uint8))
+    write_glb(tmp_path / "folder" / "a.glb", PLANE, image=IMAGE)
     file = GLTF2().load(str(tmp_path / "folder" / "a.glb"))
     assert file.asset.version == "2.0"
     (primitive,) = file.meshes[0].primitives
@@ -88,6 +90,25 @@ def test_camera_sees_what_the_photo_sees(tmp_path: Path) -> None:
     across = 2 * np.degrees(np.arctan(np.tan(camera.perspective.yfov / 2) * camera.perspective.aspectRatio))
     assert across == pytest.approx(Camera.from_focal(10.0, SIZE).fov_x)
     assert file.asset.extras == {"intrinsics": CAMERA.matrix.tolist(), "size": [6, 8], "cameraSource": "exif"}
+
+
+def test_of_a_panorama_has_no_camera_and_a_texture_that_goes_round(tmp_path: Path) -> None:
+    write_glb(tmp_path / "a.glb", replace(PLANE, camera=None), image=IMAGE)
+    file = GLTF2().load(str(tmp_path / "a.glb"))
+    assert (file.cameras, file.asset.extras) == ([], {})
+    assert [node.camera for node in file.nodes] == [None]
+    assert (file.samplers[0].wrapS, file.samplers[0].wrapT) == (10497, 33071)
+    write_glb(tmp_path / "a.glb", PLANE, image=IMAGE)
+    assert GLTF2().load(str(tmp_path / "a.glb")).samplers[0].wrapS == 33071
+
+
+def test_normals_have_length_1_even_where_triangles_have_no_area(tmp_path: Path) -> None:
+    normals = PLANE.normals * 1.001
+    normals[5] = 0
+    write_glb(tmp_path / "a.glb", replace(PLANE, normals=normals))
+    found = array(GLTF2().load(str(tmp_path / "a.glb")), 2)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
+    assert found[5] @ (PLANE.vertices[5] * (1, -1, -1)) == pytest.approx(-np.linalg.norm(PLANE.vertices[5]))
 
 
 def test_without_a_photo_has_no_texture(tmp_path: Path) -> None:

@@ -8,8 +8,10 @@ import json
 import math
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from jaxtyping import Float32
 from PIL import Image
 
 from zoedepth.errors import InputError
@@ -25,14 +27,15 @@ _GLTF_AXES = np.array([1, -1, -1], np.float32)  # half a turn about x: from y do
 _QUALITY = 90
 # Numbers of the standard (glTF 2.0): types of numbers, kinds of buffers, filters and edges of textures.
 _UINT32, _FLOAT32, _VERTICES, _INDICES = 5125, 5126, 34962, 34963
-_LINEAR, _LINEAR_MIPMAP, _CLAMP = 9729, 9987, 33071
+_LINEAR, _LINEAR_MIPMAP, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
 
 
 def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) -> None:
     """Write a mesh as a binary glTF 2.0: metres, x to the right, y up, the camera at the origin, looking along -z.
 
     The photo is a texture that shows in its own light (KHR_materials_unlit), with normals for programs that light it
-    nevertheless. The camera is in the file, too, so that a program can look at the mesh as the photo does.
+    nevertheless. The camera is in the file, too, so that a program can look at the mesh as the photo does; a panorama
+    has none.
 
     Args:
         path: where to write; missing folders are made.
@@ -48,7 +51,7 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
     arrays = {
         "indices": mesh.faces.astype("<u4").reshape(-1),
         "POSITION": vertices.astype("<f4"),
-        "NORMAL": (mesh.normals * _GLTF_AXES).astype("<f4"),
+        "NORMAL": (_unit_normals(mesh) * _GLTF_AXES).astype("<f4"),
         "TEXCOORD_0": mesh.uv.astype("<f4"),
     }
     parts = [np.ascontiguousarray(values).tobytes() for values in arrays.values()]
@@ -69,23 +72,28 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
         for number, values in enumerate(arrays.values())
     ]
     accessors[1] |= {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
-    document = {
-        "asset": {"generator": OWN_MARK, "version": "2.0", "extras": _about(mesh.camera)},
+    document: dict[str, Any] = {
+        "asset": {"generator": OWN_MARK, "version": "2.0"},
         "scene": 0,
-        "scenes": [{"nodes": [0, 1]}],
-        "nodes": [{"name": "surface", "mesh": 0}, {"name": "camera of the photo", "camera": 0}],
-        "cameras": [_camera(mesh.camera)],
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "surface", "mesh": 0}],
         "meshes": [{"name": "surface", "primitives": [_primitive(list(arrays)[1:])]}],
         "materials": [_material(textured=image is not None)],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": place}],
     }
+    if mesh.camera is not None:
+        document["asset"]["extras"] = _about(mesh.camera)
+        document["scenes"][0]["nodes"].append(1)
+        document["nodes"].append({"name": "camera of the photo", "camera": 0})
+        document["cameras"] = [_camera(mesh.camera)]
     if image is not None:
+        around = _REPEAT if mesh.camera is None else _CLAMP
         document |= {
             "extensionsUsed": ["KHR_materials_unlit"],
             "images": [{"bufferView": len(arrays), "mimeType": "image/jpeg"}],
-            "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP, "wrapS": _CLAMP, "wrapT": _CLAMP}],
+            "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP, "wrapS": around, "wrapT": _CLAMP}],
             "textures": [{"source": 0, "sampler": 0}],
         }
     text = json.dumps(document, separators=(",", ":")).encode("ascii")
@@ -96,6 +104,13 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
         file.write(np.array([place], "<u4").tobytes() + b"BIN\0")
         for part in parts:
             file.write(part + bytes(_padded(len(part)) - len(part)))
+
+
+def _unit_normals(mesh: Mesh) -> Float32[np.ndarray, "vertices 3"]:
+    """Return the normals, as the standard asks for of length 1; where a triangle has no area, towards the camera."""
+    length = np.linalg.norm(mesh.normals, axis=1, keepdims=True)
+    away = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    return np.where(length > 0.5, mesh.normals / np.maximum(length, 0.5), -mesh.vertices / away)
 
 
 def _padded(n_bytes: int) -> int:
@@ -127,8 +142,10 @@ def _camera(camera: Camera) -> dict[str, object]:
     return {"type": "perspective", "perspective": view}
 
 
-def _about(camera: Camera) -> dict[str, object]:
+def _about(camera: Camera | None) -> dict[str, object]:
     """Return what glTF's camera cannot say."""
+    if camera is None:
+        return {"panorama": True}
     return {"intrinsics": camera.matrix.tolist(), "size": list(camera.size), "cameraSource": camera.source}
 
 
