@@ -15,8 +15,11 @@ def write_pairs(
     domain: str = "indoor",
     split: str = "train",
     without_truth: tuple[int, ...] = (),
+    focal_px: tuple[float, ...] = (),
 ) -> Path:
     """``n`` photos of (height, width) with depth, listed in ``folder/{split}.csv``; returns its path.
+
+    The first photos get cameras of these focal lengths.
 
     Indoor depth is 1 to 5 m in millimetres, outdoor 5 to 60 m in 1/256 m; a strip on the left is unknown. Indoor photos
     are reddish, outdoor ones bluish, and near is bright, so that there is something to learn.
@@ -33,9 +36,12 @@ def write_pairs(
         image = 255 * near / depth[..., None] * np.array(tint)
         name = f"{split}_{index:03d}"
         _write(folder, name, "depth", image.astype(np.uint8), stored)
-        rows.append(
-            {"image": f"image/{name}.jpg", "depth": f"depth/{name}.png", "depth_scale": scale, "domain": domain}
-        )
+        row: dict[str, object] = {"image": f"image/{name}.jpg", "depth": f"depth/{name}.png", "depth_scale": scale}
+        if focal_px:
+            focal = focal_px[index] if index < len(focal_px) else ""
+            middle = ((size[1] - 1) / 2, (size[0] - 1) / 2) if focal else ("", "")
+            row |= {"fx": focal, "fy": focal, "cx": middle[0], "cy": middle[1]}
+        rows.append({**row, "domain": domain})
     return write_csv(folder / f"{split}.csv", rows)
 
 

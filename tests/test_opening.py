@@ -138,15 +138,21 @@ def test_scenes_that_are_made_up() -> None:
     assert isinstance(rooms, SyntheticScenes)
     assert (len(rooms), rooms.seed, rooms.size, list(rooms.domains)) == (7, 3, (48, 64), ["indoor"])
     assert list(open_dataset("synthetic:streets").domains) == ["outdoor"]
+    assert rooms.fields_of_view is None
+    for address, fields in (("?fov=35-100.5", (35, 100.5)), ("?n=3&fov=60", (60, 60))):
+        assert open_dataset(f"synthetic:all{address}").fields_of_view == fields
     assert len(open_dataset("synthetic:all")) == 10_000
 
 
 @pytest.mark.parametrize(
     "address",
-    ["synthetic:", "synthetic:caves", "synthetic:rooms?n=many", "synthetic:rooms?size=48", "synthetic:rooms?count=7"],
-)
+    [
+        "synthetic:", "synthetic:caves", "synthetic:rooms?n=many", "synthetic:rooms?size=48", "synthetic:rooms?count=7",
+        "synthetic:rooms?fov=wide", "synthetic:rooms?fov=100-35", "synthetic:rooms?fov=0",
+    ],
+)  # fmt: skip
 def test_scenes_that_nobody_makes_up(address: str) -> None:
-    with pytest.raises(InputError, match="synthetic:"):
+    with pytest.raises(InputError, match=r"synthetic:|fields of view"):
         open_dataset(address)
 
 

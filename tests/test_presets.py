@@ -7,7 +7,16 @@ import torch
 from zoedepth.config import BaselineConfig, DornConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.presets import BASELINES, ENCODERS, PRESETS, with_compat, with_encoder, with_head
+from zoedepth.presets import (
+    BASELINES,
+    ENCODERS,
+    PRESETS,
+    in_training_cameras,
+    with_compat,
+    with_encoder,
+    with_focal_of_size,
+    with_head,
+)
 
 
 @cache
@@ -96,6 +105,35 @@ def test_sizes_and_depth_ranges(name: str, size: tuple[int, int], domains: list[
     config = PRESETS[name]
     assert config.size == size
     assert [(domain.name, domain.min_depth, domain.max_depth) for domain in config.domains] == domains
+
+
+@pytest.mark.parametrize(
+    ("name", "focal_px"),
+    [
+        # 256 x 352 of NYU's 480 x 640: 518.86 * 0.55 = 285.4 and 519.47 * 0.5333 = 277.1; KITTI: see below.
+        ("zoed-lite", {"indoor": 281.18, "outdoor": 528.2}),
+        ("zoed-m12-n", {"indoor": 415.33}),
+        # 352 x 1216 become 384 x 1312: 721.54 * 1312 / 1216 = 778.5 and 721.54 * 384 / 352 = 787.1.
+        ("zoed-m12-k", {"outdoor": 782.8}),
+        ("zoed-m12-nk", {"indoor": 415.33, "outdoor": 782.8}),
+        ("zoed-m12-n-swin2-t", {"indoor": 239.79}),
+        ("zoed-m12-nk-one-head", {"any": None}),
+    ],
+)
+def test_focal_lengths_are_those_of_the_training_sets(name: str, focal_px: dict[str, float | None]):
+    config = PRESETS[name]
+    assert {domain.name: domain.focal_px for domain in config.domains} == focal_px
+    assert not config.canonical_camera, "no published model was trained in one camera"
+
+
+def test_another_size_has_other_focal_lengths_of_the_training_sets_but_keeps_ones_own():
+    lite = PRESETS["zoed-lite"]
+    small = with_focal_of_size(replace(lite, size=(128, 192)), lite)
+    assert small.domains == in_training_cameras(small).domains
+    assert small.domains[0].focal_px == pytest.approx(lite.domains[0].focal_px / 2, rel=0.05)
+    own = replace(lite, domains=(replace(lite.domains[0], focal_px=300.0), lite.domains[1]))
+    changed = with_focal_of_size(replace(own, size=(128, 192)), own)
+    assert changed.domains == (own.domains[0], small.domains[1])
 
 
 @pytest.mark.parametrize("name", PRESETS)

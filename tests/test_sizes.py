@@ -1,8 +1,10 @@
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zoedepth.sizes import network_size
+from zoedepth.sizes import network_focal, network_size
 
 SIDES = st.integers(min_value=1, max_value=5000)
 
@@ -57,3 +59,24 @@ def test_a_turned_photo_gets_a_turned_size(height: int, width: int):
     found = network_size((height, width), (384, 512))
     turned = network_size((width, height), (512, 384))
     assert turned == (found[1], found[0]) or abs(1 - 384 / height) == abs(1 - 512 / width)
+
+
+# --- the focal length that the network sees ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("focal_px", "size", "network", "expected"),
+    [
+        ((500.0, 500.0), (480, 640), (480, 640), 500.0),
+        ((500.0, 500.0), (480, 640), (240, 320), 250.0),
+        # Padded by half its size on each side, the photo is half as large in the same input.
+        ((500.0, 500.0), (960, 1280), (480, 640), 250.0),
+        # Squeezed to half its width alone: between 250 and 500, as the geometric mean is.
+        ((500.0, 500.0), (480, 640), (480, 320), 500 / math.sqrt(2)),
+        ((100.0, 400.0), (10, 10), (10, 10), 200.0),
+        # NYU in the released models: 518.86 * 512 / 640 = 415.09, 519.47 * 384 / 480 = 415.58.
+        ((518.8579, 519.4696), (480, 640), (384, 512), 415.33),
+    ],
+)
+def test_focal_length_follows_the_resizing(focal_px, size, network, expected: float):
+    assert network_focal(focal_px, size, network) == pytest.approx(expected, abs=0.01)

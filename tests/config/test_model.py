@@ -1,6 +1,7 @@
 """Every field of a ZoeDepth's config does something, and values that make no sense are errors."""
 
 import dataclasses
+import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -22,8 +23,10 @@ from zoedepth.config import (
     EncoderConfig,
     ModelConfig,
     RouterConfig,
+    without_camera,
 )
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
@@ -70,6 +73,7 @@ CHANGES: dict[type, dict[str, tuple[Any, dict[str, Any]]]] = {
         "name": ("indoor cave", {}),
         "min_depth": (2.0, NORMED),
         "max_depth": (20.0, NORMED),
+        "focal_px": (100.0, {}),
     },
     ModelConfig: {
         "encoder": (SWIN, {}),
@@ -81,9 +85,13 @@ CHANGES: dict[type, dict[str, tuple[Any, dict[str, Any]]]] = {
         "antialias": (True, {}),
         "resize": ("squeeze", {}),
         "pad": (False, {}),
+        "canonical_camera": (True, {}),
     },
 }
-REFUSED = {(EncoderConfig, "family"): r"encoder\.taps must be 0 increasing numbers for convolutional"}
+REFUSED = {
+    (EncoderConfig, "family"): r"encoder\.taps must be 0 increasing numbers for convolutional",
+    (ModelConfig, "canonical_camera"): r"canonical_camera needs the focal length .* \['indoor', 'outdoor'\] have none",
+}
 """Changes that do not go with the rest of the config, and what the error says."""
 
 
@@ -129,7 +137,8 @@ def outputs(config: ModelConfig) -> dict[str, Any]:
         }
     found = Predictor(model.eval())(photo)
     scores = np.array([*found.domain_probability.values()])
-    return seen | {"photo": found.depth, "domain": sorted(found.domain_probability), "scores": scores}
+    lens = np.array([Predictor(model, flip_average=False)(photo, domain=config.domains[0].name).camera.fx])
+    return seen | {"photo": found.depth, "domain": sorted(found.domain_probability), "scores": scores, "lens": lens}
 
 
 known_outputs = cache(outputs)
@@ -164,11 +173,36 @@ def test_the_same_config_gives_the_same_outputs(tiny_config: ModelConfig):
     assert not differ(known_outputs(tiny_config), outputs(replace(tiny_config)))
 
 
+def test_only_a_model_in_one_camera_corrects_what_a_photo_tells(tiny_config: ModelConfig):
+    """The field that the test above cannot change alone."""
+    known = replace(tiny_config, domains=(replace(INDOOR, focal_px=80.0),))
+    photo = np.zeros((64, 64, 3), np.uint8)
+    camera = Camera.from_focal(120.0, (64, 64), source="exif")
+    plain, canonical = (
+        Predictor(ZoeDepth(config).eval(), pad=False, flip_average=False)(photo, camera=camera)
+        for config in (known, replace(known, canonical_camera=True))
+        if torch.manual_seed(0)
+    )
+    np.testing.assert_allclose(canonical.depth, plain.depth * 1.5, rtol=1e-5)
+
+
 def test_no_change_is_listed_for_a_field_that_is_gone():
     assert {(kind, name) for kind, changes in CHANGES.items() for name in changes} == set(FIELDS)
 
 
 # --- values that make no sense ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("focal_px", [0.0, -5.0, math.inf, math.nan])
+def test_focal_length_is_a_number_of_pixels(focal_px: float):
+    with pytest.raises(InputError, match=r"domain\.focal_px must be a finite number of pixels > 0"):
+        replace(INDOOR, focal_px=focal_px)
+
+
+def test_same_network_in_another_camera(tiny_config: ModelConfig):
+    domains = tuple(replace(each, focal_px=80.0) for each in tiny_config.domains)
+    assert without_camera(replace(tiny_config, domains=domains, canonical_camera=True)) == tiny_config
+    assert without_camera(replace(tiny_config, domains=domains[:1])) != tiny_config
 
 
 @pytest.mark.parametrize(

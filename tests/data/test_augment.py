@@ -1,6 +1,7 @@
 """Augmentations: what moves a pixel moves its depth along, and depth stays what a camera would measure."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import torch
 from zoedepth.data import augment
 from zoedepth.data.augment import Augmentation
 from zoedepth.data.sample import Sample
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 
 GROUND, MARK = 3.0, 7.0
 """Depth (metres) of the black ground and of the white mark on it."""
@@ -43,6 +46,7 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 EVERY: dict[str, Augmentation] = {
     "fit_crop": augment.fit_crop((32, 48), max_zoom=2.0),
+    "fit_crop, framed": augment.fit_crop((32, 48), min_zoom=0.5, max_zoom=2.0),
     "window": augment.window((32, 48)),
     "squeeze": augment.squeeze((32, 48)),
     "kitti_crop": augment.kitti_crop(),
@@ -423,3 +427,104 @@ def test_squeezed_lidar_keeps_its_points():
     assert sparse.mask.sum() > 0.9 * lidar.mask.sum()
     assert dense.mask.sum() < 0.5 * lidar.mask.sum()
     assert (sparse.target[sparse.mask] == 5).all()
+
+
+# --- one camera -----------------------------------------------------------------------------------------------------
+
+
+def seen(size: tuple[int, int] = (60, 90), *, focal: float = 80.0, depth: float = 4.0) -> Sample:
+    """A photo of a wall at one depth, whose camera looks through its middle."""
+    camera = Intrinsics(focal, focal, (size[1] - 1) / 2, (size[0] - 1) / 2)
+    return replace(
+        noise(size), target=torch.full((1, *size), depth), mask=torch.ones(1, *size, dtype=bool), camera=camera
+    )
+
+
+def test_canonical_depth_is_the_depth_times_the_ratio_of_the_focal_lengths() -> None:
+    result = augment.canonical_camera({"indoor": 100.0, "outdoor": 7.0}, data="rooms")(seen(), rng())
+    assert torch.allclose(result.target, torch.tensor(4.0 * 100 / 80))
+    assert result.camera == Intrinsics(100.0, 100.0, 44.5, 29.5)
+    street = replace(seen(), domain="outdoor")
+    assert augment.canonical_camera({"indoor": 100.0, "outdoor": 7.0}, data="x")(street, rng()).camera.fx == 7
+    # A model of one domain takes every photo; one number stands for both axes.
+    oblong = replace(seen(), domain="attic", camera=Intrinsics(50.0, 200.0, 44.5, 29.5))
+    result = augment.canonical_camera({"indoor": 300.0}, data="x")(oblong, rng())
+    assert torch.allclose(result.target, torch.tensor(12.0))
+    assert result.camera == Intrinsics(150.0, 600.0, 44.5, 29.5)
+
+
+@pytest.mark.parametrize("scale_depth", [True, False])
+@pytest.mark.parametrize(("low", "high"), [(1.0, 1.0), (1.0, 3.0), (0.5, 1.0)])
+def test_a_zoom_is_a_change_of_the_lens_in_a_canonical_camera(low: float, high: float, scale_depth: bool) -> None:
+    """However the zoom is told, twice as large a picture of a wall is one at half the canonical depth."""
+    canonical = augment.canonical_camera({"indoor": 100.0}, data="rooms")
+    for seed in range(6):
+        crop = augment.fit_crop((32, 48), min_zoom=low, max_zoom=high, scale_depth=scale_depth)
+        cropped = crop(seen(), rng(seed))
+        assert cropped.camera is not None
+        zoomed = augment.fit_crop((32, 48), min_zoom=low, max_zoom=high, scale_depth=False)(seen(), rng(seed))
+        result = canonical(cropped, rng())
+        assert result.target[result.mask].unique().numpy() == pytest.approx(4.0 * 100 / zoomed.camera.fx, rel=0.02)
+        assert result.camera.fx * result.camera.fy == pytest.approx(100.0**2)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        augment.squeeze((96, 80)),
+        augment.window((90, 120)),
+        augment.fit_crop((60, 80)),
+        augment.fit_crop((60, 80), max_zoom=1.3, scale_depth=False),
+        augment.fit_crop((120, 160), min_zoom=0.5, scale_depth=False),
+        augment.flip(probability=1.0),
+        augment.canonical_camera({"indoor": 300.0}, data="rooms"),
+    ],
+    ids=["squeeze", "window", "fit", "zoom", "framed", "flip", "canonical"],
+)
+def test_camera_puts_a_thing_as_far_to_the_side_as_before(change: Augmentation) -> None:
+    """Metres to the right and down, (u - cx) / fx z: cropping and resizing keep the point, the one camera only moves
+    it along the axis."""
+    sample = replace(marked((120, 160), 60, 90, side=15), camera=Intrinsics(150.0, 140.0, 80.0, 57.0))
+
+    def place(found: Sample) -> tuple[float, float]:
+        row, column = centroid(found.target[0] > (GROUND + MARK) / 2 * found.target.max() / MARK)
+        assert found.camera is not None
+        z = found.target.max().item()
+        return (row - found.camera.cy) / found.camera.fy * z, (column - found.camera.cx) / found.camera.fx * z
+
+    (down, right), (new_down, new_right) = place(sample), place(change(sample, rng(2)))
+    assert new_down == pytest.approx(down, abs=0.05)
+    assert abs(new_right) == pytest.approx(right, abs=0.05)
+
+
+def test_photo_without_a_camera_is_refused_by_name_or_taken_as_it_is() -> None:
+    bare = replace(seen(), camera=None)
+    with pytest.raises(InputError, match=r"rooms says no camera for noise, .* fx, fy, cx, cy .* without_camera"):
+        augment.canonical_camera({"indoor": 100.0}, data="rooms")(bare, rng())
+    assert augment.canonical_camera({"indoor": 100.0}, data="rooms", assume=True)(bare, rng()) is bare
+    known = augment.assume_camera(80.0)(bare, rng())
+    assert known.camera == Intrinsics(80.0, 80.0, 44.5, 29.5)
+    assert augment.assume_camera(33.0)(known, rng()) is known
+    disparity = replace(bare, kind="disparity")
+    assert augment.canonical_camera({"indoor": 100.0}, data="rooms")(disparity, rng()) is disparity
+
+
+def test_zoom_out_puts_the_photo_in_the_middle_of_its_own_reflection() -> None:
+    sample = seen((32, 48))
+    result = augment.fit_crop((32, 48), min_zoom=0.5, max_zoom=1.0)(sample, rng(1))
+    rows, columns = result.mask[0].any(1).nonzero()[:, 0], result.mask[0].any(0).nonzero()[:, 0]
+    zoom = len(rows) / 32
+    assert 0.5 <= zoom < 1
+    assert len(columns) / 48 == pytest.approx(zoom, abs=0.04)
+    assert abs(rows[0] - (31 - rows[-1])) <= 1, "it is not in the middle"
+    assert torch.allclose(result.target[result.mask], torch.tensor(4.0 / zoom), rtol=0.04)
+    assert (result.target[~result.mask] == 0).all()
+    assert result.image[:, ~result.mask[0]].mean() == pytest.approx(0.5, abs=0.1)  # noise, not black
+    assert result.camera.cx == pytest.approx(23.5, abs=0.6)
+    assert result.camera.cy == pytest.approx(15.5, abs=0.6)
+
+
+@pytest.mark.parametrize("zooms", [{"min_zoom": 0.4}, {"min_zoom": 1.1}, {"max_zoom": 0.9}, {"max_zoom": math.inf}])
+def test_zooms_out_of_range_are_errors(zooms: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=r"min_zoom must be from 0\.5 to 1 and max_zoom at least 1"):
+        augment.fit_crop((32, 48), **zooms)

@@ -122,6 +122,16 @@ def test_domains_can_be_chosen() -> None:
     assert SyntheticScenes(10).domains == ["indoor", "outdoor"]
 
 
+def test_lenses_are_drawn_between_two_fields_of_view() -> None:
+    """Log-uniform focal lengths: as many above as below the geometric mean, here 2 atan(sqrt(tan 17.5 tan 50))."""
+    data = SyntheticScenes(9, size=(32, 48), seed=2, fields_of_view=(35, 100))
+    fields = [2 * np.rad2deg(np.arctan(24 / data[i].camera.fx)) for i in range(len(data))]
+    assert all(35 <= field <= 100 for field in fields)
+    assert 2 <= sum(field < 63 for field in fields) <= 7
+    one = SyntheticScenes(1, size=(32, 48), fields_of_view=(70, 70))[0]
+    assert 2 * np.rad2deg(np.arctan(24 / one.camera.fx)) == pytest.approx(70)
+
+
 def test_what_cannot_be_rendered_is_refused() -> None:
     with pytest.raises(InputError, match=r"moon.*indoor.*outdoor"):
         SyntheticScenes(3, domains=["moon"])
@@ -130,6 +140,9 @@ def test_what_cannot_be_rendered_is_refused() -> None:
     for options in ({"size": (8, 8)}, {"size": (31, 64)}, {"n": 0}, {"seed": -1}):
         with pytest.raises(InputError, match="32 pixels"):
             SyntheticScenes(**options)
+    for fields_of_view in ((0, 60), (60, 50), (60, 140), (float("nan"), 60)):
+        with pytest.raises(InputError, match="fields of view must be two numbers from 10 to 130 degrees"):
+            SyntheticScenes(3, fields_of_view=fields_of_view)
     for index in (3, -1):
         with pytest.raises(IndexError):
             SyntheticScenes(3)[index]

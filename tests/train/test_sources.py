@@ -13,6 +13,7 @@ from zoedepth.data.augment import augment
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import augmentations, load_sources
 
@@ -126,7 +127,7 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
         "channel_gain": (0.5, 0.5),
         "saturation": (0.0, 0.0),
     }
-    with_fit: dict[str, object] = {"max_zoom": 3.0}
+    with_fit: dict[str, object] = {"max_zoom": 3.0, "min_zoom": 0.5}
     with_zoom: dict[str, object] = {"zoom_probability": 0.0}
     cases = [
         (PLAIN, changes),
@@ -137,7 +138,10 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
     ]
     tested = {name for _, values in cases for name in values}
     # Fails where a new field has no case. The others are the mixture's, the reader's or the loss's; sparse has its own.
-    elsewhere = {"name", "weight", "gradient_term", "domain", "depth_scale", "max_depth", "sparse"}
+    elsewhere = {
+        "name", "weight", "gradient_term", "domain", "depth_scale", "max_depth", "root", "sparse", "focal_px",
+        "without_camera",
+    }  # fmt: skip
     assert {field.name for field in dataclasses.fields(SourceConfig)} - elsewhere == tested
 
     rng = np.random.default_rng(0)
@@ -177,3 +181,55 @@ def test_scattered_points_are_kept_and_not_multiplied_where_the_source_says_so(
         assert known[True] > 8 * known[False]
     else:  # every point once, or as often as the photo is enlarged
         assert known[False] > 2 * known[True] > 0
+
+
+# ---------------------------------------------------------------------------------------------------- one camera
+
+
+def canonical(config: TrainConfig, **fields: object) -> TrainConfig:
+    """The config of a model in one camera: 50 pixels indoors, 100 outdoors."""
+    focal = {"indoor": 50.0, "outdoor": 100.0}
+    domains = tuple(dataclasses.replace(each, focal_px=focal[each.name]) for each in config.model.domains)
+    model = dataclasses.replace(config.model, domains=domains, canonical_camera=True)
+    sources = tuple(dataclasses.replace(source, **fields) for source in config.sources)
+    return dataclasses.replace(config, model=model, sources=sources)
+
+
+def test_depth_is_scaled_to_the_one_camera_before_it_is_limited(make_config: MakeConfig) -> None:
+    sample = dataclasses.replace(outdoor_sample((64, 64)), camera=Intrinsics(200.0, 200.0, 31.5, 31.5))
+    config = canonical(make_config())
+    result = augment(sample, augmentations(PLAIN, config), np.random.default_rng(0))
+    # 1 to 100 m through a lens of twice the focal length: 0.5 to 50 m in the one camera, and nothing is beyond 80 m.
+    assert result.mask.all()
+    assert result.target.max() == pytest.approx(50, rel=0.03)
+    rooms = dataclasses.replace(sample, domain="indoor")
+    near = augment(rooms, augmentations(PLAIN, config), np.random.default_rng(0))
+    assert 9.5 < near.target[near.mask].max() < 10, "10 m of the one camera are 40 m of this lens"
+    # Disparity has no scale, and stage 1 asks for no camera.
+    stills = augmentations(PLAIN, canonical(make_config("relative")))
+    assert augment(outdoor_sample(), stills, np.random.default_rng(0)).kind == "disparity"
+
+
+def test_data_without_cameras_is_refused_unless_a_lens_is_given_or_assumed(
+    make_config: MakeConfig, tmp_path: Path
+) -> None:
+    bare = write_pairs(tmp_path / "bare", n=3, size=(64, 64))
+    with pytest.raises(InputError, match=r"indoor says no camera for \S*train_000\.jpg.* focal_px of the source"):
+        load_sources(canonical(make_config()), {"indoor": bare})
+    load_sources(canonical(make_config("relative")), {"indoor": bare})
+    load_sources(make_config(), {"indoor": bare})
+
+    def first(config: TrainConfig) -> tuple[Sample, Sample]:
+        """The first sample of training, augmented, and the one that is validated on."""
+        training, validation = load_sources(dataclasses.replace(config, holdout=1), {"indoor": bare})
+        source, samples = training[0]
+        return augment(samples[0], augmentations(source, config), np.random.default_rng(0)), validation["indoor"][0]
+
+    plain = {"rotate_degrees": 0.0, "color_probability": 0.0}
+    assumed, held_out = first(canonical(make_config(), **plain, without_camera="assume"))
+    assert held_out.camera is None
+    given, held_out = first(canonical(make_config(), **plain, focal_px=25.0))
+    assert held_out.camera == Intrinsics(25.0, 25.0, 31.5, 31.5)
+    assert torch.equal(given.image, assumed.image)
+    both = given.mask & assumed.mask
+    torch.testing.assert_close(given.target[both], 2 * assumed.target[both])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from zoedepth.evaluation.evaluation_set import EvaluationSet
-    from zoedepth.evaluation.predictions import FolderSource, Kind, PredictionSource
+    from zoedepth.evaluation.predictions import CameraUse, FolderSource, Kind, PredictionSource
     from zoedepth.evaluation.summary import Summary
     from zoedepth.evaluation.tables import ReportTable
 
@@ -42,6 +42,7 @@ def evaluate(
     resize: Literal["keep-aspect", "squeeze"] | None = None,
     mean: Literal["images", "pixels"] | None = None,
     align: Literal["none", "median", "disparity"] | None = None,
+    camera: Literal["none", "data"] = "none",
     compat: tuple[str, ...] = (),
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     pictures: bool = True,
@@ -80,6 +81,8 @@ def evaluate(
         mean: average the metrics over images (the paper), or take them over all pixels.
         align: give the prediction something of the truth first. median: a factor. disparity: scale and shift of its
             inverse.
+        camera: data tells models the cameras that the data names (fx, fy, cx, cy), and corrects depth by the focal
+            length. none tells them nothing.
         compat: behaviours of the original code to take over: batch-vote, 10m.
         out: folder for scores (JSONL), tables (Markdown, HTML, LaTeX, JSON), pictures and plots.
         pictures: make the pictures and plots, too.
@@ -118,7 +121,7 @@ def evaluate(
         for name, source in given.items()
     }
     found = score_all(
-        _sources(model, folders, trivial, sets, compat=compat, device=device),
+        _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device),
         sets,
         folder=out,
         pictures=pictures,
@@ -206,6 +209,7 @@ def _sources(
     trivial: Sequence[Path],
     sets: "Mapping[str, EvaluationSet]",
     *,
+    camera: "CameraUse",
     compat: Sequence[str],
     device: str,
 ) -> "dict[str, PredictionSource]":
@@ -215,6 +219,8 @@ def _sources(
 
     if not (models or folders or trivial):
         models = ("zoed-lite",)
+    if camera == "data" and not models:
+        raise InputError("--camera data is for models, and none is scored: add --model, or leave it out")
     names = [
         (label, value) if equals and not os.path.exists(each) else (each, each)  # a path may have a = in it
         for each in models
@@ -227,7 +233,7 @@ def _sources(
     found: dict[str, PredictionSource] = {}
     for label, name in names:
         with download_progress() as progress:
-            found[label] = ModelSource.load(name, compat=compat, device=device, progress=progress)
+            found[label] = ModelSource.load(name, compat=compat, device=device, camera=camera, progress=progress)
     found |= folders
     if trivial:
         by_domain = {domain: protocol for each in sets.values() for domain, protocol in each.protocols.items()}
@@ -259,6 +265,7 @@ def _record(summary: "Summary") -> dict:
         "failed": summary.n_failed,
         "router": summary.router,
         "alignment": summary.alignment,
+        "camera": summary.camera,
     }
 
 

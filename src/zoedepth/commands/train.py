@@ -218,6 +218,16 @@ def finetune(
     return 0
 
 
+def _lenses(found: "Survey") -> str:
+    """Say what becomes of the cameras of a data set where the model has a canonical one."""
+    degrees = [camera.fov_x for cameras in found.cameras.values() for camera in cameras]
+    if not degrees:
+        return "no camera is known: all photos are taken to come from the canonical one, and their depth stays."
+    low, high = round(min(degrees)), round(max(degrees))
+    fields = f"{low}" if low == high else f"{low} to {high}"
+    return f"cameras of {fields} degrees from left to right; depth is scaled to the canonical one."
+
+
 def _described(plan: "Plan", out: Path) -> Iterator[str]:
     """Describe what was found in the data, and what was chosen for it, a line at a time."""
     config = plan.config
@@ -230,6 +240,8 @@ def _described(plan: "Plan", out: Path) -> Iterator[str]:
             f"{name}: {found.n} pairs, {width}x{height}{others}; depth known at {found.known:.0%} ({kind}); {ranges}. "
             f"The last {config.holdout} are held out."
         )
+        if config.model.canonical_camera:
+            yield f"{name}: {_lenses(found)}"
         doubts = found.doubts
         if doubts.mark is not None:
             taken = f" It is taken for unknown from {found.max_depth:g} m on." if found.max_depth else ""

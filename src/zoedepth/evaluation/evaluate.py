@@ -145,7 +145,14 @@ def evaluate(
                 fail(f"{name}, {failure}")
             scores = _scores_of_all(found.scores, files, processes)
             n_failed = len(each.dataset) - len(scores)
-            summary = summarise(label, name, list(scores.values()), each.protocols, n_failed=n_failed)
+            summary = summarise(
+                label,
+                name,
+                list(scores.values()),
+                each.protocols,
+                n_failed=n_failed,
+                camera=str(getattr(source, "about", {}).get("camera", "none")),
+            )
             summaries.append(summary)
             if processes.rank == 0 and scores and summary.metrics is None:
                 fail(f"{name}: no image has a known pixel under its protocol")

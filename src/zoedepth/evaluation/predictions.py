@@ -19,6 +19,7 @@ from zoedepth.download import Progress
 from zoedepth.errors import InputError
 from zoedepth.evaluation.identity import files_state, fingerprint, weights_fingerprint
 from zoedepth.evaluation.protocols import Protocol
+from zoedepth.geometry.camera import Camera
 from zoedepth.images import DepthArray, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
@@ -68,6 +69,11 @@ class PredictionSource(Interface):
         ...
 
 
+CameraUse = Literal["none", "data"]
+"""none: a model is told nothing of the camera. data: it is told the camera that the data set says, and corrects its
+depth by the focal length, whether or not it does so by itself."""
+
+
 class ModelSource:
     """A model, run as the protocol says.
 
@@ -75,18 +81,37 @@ class ModelSource:
         model: in evaluation mode, with or without metric heads.
         about: facts that tell it from others; see ``PredictionSource``.
         weights: a hash of its weights; scores that were made with others are made anew.
+        camera: what the model is told of the photos' cameras.
+
+    Raises:
+        InputError: the model is to correct depth by the focal length, and its config does not say that of its training.
     """
 
     def __init__(
-        self, model: DepthModel, *, about: Mapping[str, object] | None = None, weights: str | None = None
+        self,
+        model: DepthModel,
+        *,
+        about: Mapping[str, object] | None = None,
+        weights: str | None = None,
+        camera: CameraUse = "none",
     ) -> None:
+        if camera == "data":
+            Predictor(model, focal_correction=True)  # says what is missing, before any photo
         self.model = model
-        self.about = dict(about or {})
+        # Scores without a camera were kept before there was a choice, and still hold.
+        self.about = {**(about or {}), **({"camera": camera} if camera == "data" else {})}
         self.weights = weights
+        self.camera: CameraUse = camera
 
     @classmethod
     def load(
-        cls, name: str | Path, *, compat: Sequence[str] = (), device: str = "auto", progress: Progress | None = None
+        cls,
+        name: str | Path,
+        *,
+        compat: Sequence[str] = (),
+        device: str = "auto",
+        camera: CameraUse = "none",
+        progress: Progress | None = None,
     ) -> "ModelSource":
         """Load a model, and remember the hash of its weights.
 
@@ -94,33 +119,51 @@ class ModelSource:
             name: see ``zoedepth.weights.load.load_model``.
             compat: behaviours of the original code to take over; see there, too.
             device: cpu, cuda, mps, or auto for the best there is.
+            camera: what the model is told of the photos' cameras.
             progress: function to call while weights are downloaded; see there, too.
 
         Raises:
-            InputError: there is no such model, behaviour or device.
+            InputError: there is no such model, behaviour or device, or it cannot correct depth by the focal length.
         """
         model = Predictor(load_model(name, compat=tuple(compat), progress=progress), device=device).model
         about = {"model": str(name), "compat": list(compat)}
-        return cls(model, about=about, weights=weights_fingerprint(find(name)))
+        return cls(model, about=about, weights=weights_fingerprint(find(name)), camera=camera)
 
     def state(self, name: str) -> str | None:
         """Return the hash of the weights, whatever the photo."""
         return self.weights
 
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
-        """Predict depth at the photo's size; relative depth where the model has no metric heads."""
+        """Predict depth at the photo's size; relative depth where the model has no metric heads.
+
+        Raises:
+            InputError: the data set's camera is to be used, and it says none for this photo.
+        """
         predictor = Predictor(
             self.model,
             flip_average=protocol.flip_average,
             pad=protocol.pad,
             upsampling=protocol.upsampling,
             resize=protocol.resize,
+            focal_correction=self.camera == "data",
         )
         photo = to_image(_resize_photo(sample.image, protocol))
         if not self.model.config.domains:
             return Prediction(predictor.relative(photo), relative=True)
-        found = predictor(photo)
+        found = predictor(photo, camera=self._camera(sample, (photo.shape[0], photo.shape[1])))
         return Prediction(found.depth, found.std, found.domain if len(self.model.config.domains) > 1 else None)
+
+    def _camera(self, sample: Sample, size: tuple[int, int]) -> Camera | Literal["none"]:
+        """Return the camera of a sample's photo after the protocol has resized it to ``size``."""
+        if self.camera == "none":
+            return "none"
+        if sample.camera is None:
+            raise InputError(
+                f"the data says no camera for {sample.name}: give fx, fy, cx, cy in the list or in dataset.json, or "
+                "evaluate with --camera none (from Python: camera='none')"
+            )
+        height, width = sample.image.shape[-2:]
+        return Camera.of(sample.camera, (height, width)).resized(size)
 
 
 class FolderSource:

@@ -46,6 +46,8 @@ class Summary:
     """Mean over the images whose truth is dense enough; None where there are none."""
     alignment: str
     """"none", or how the prediction was aligned with the truth first."""
+    camera: str = "none"
+    """"none", or "data" where the model was told the camera that the data set says."""
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; ``uncertainty`` is called "calibration" there, as in the first version."""
@@ -53,7 +55,13 @@ class Summary:
 
 
 def summarise(
-    source: str, data: str, scores: Sequence[Score], protocols: Mapping[str, Protocol], *, n_failed: int = 0
+    source: str,
+    data: str,
+    scores: Sequence[Score],
+    protocols: Mapping[str, Protocol],
+    *,
+    n_failed: int = 0,
+    camera: str = "none",
 ) -> Summary:
     """Average the scores of one source on one data set. The order of the scores does not matter.
 
@@ -63,6 +71,7 @@ def summarise(
         scores: one for each image that did not fail.
         protocols: domain → protocol.
         n_failed: number of images that failed.
+        camera: what the source was told of the camera.
 
     Raises:
         InputError: the domains' protocols average or align in different ways.
@@ -100,6 +109,7 @@ def summarise(
         uncertainty=_uncertainty(scored),
         boundary_f1=fmean(edges) if edges else None,
         alignment=alignment,
+        camera=camera,
     )
 
 

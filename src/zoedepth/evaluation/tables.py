@@ -164,8 +164,9 @@ def _our_line(summary: Summary) -> _Line:
     metrics = None if summary.metrics is None else asdict(summary.metrics)
     numbers = [NOT_RUN if metrics is None else _number(name, metrics[name]) for name in COLUMNS]
     aligned = "" if summary.alignment == "none" else f" ({summary.alignment}-aligned)"
+    camera = "" if summary.camera == "none" else f" (camera of the {summary.camera})"
     router = "" if summary.router is None else f"{100 * summary.router:.1f} %"
-    cells = (f"{summary.source}{aligned}", str(summary.n_scored), *numbers, router)
+    cells = (f"{summary.source}{camera}{aligned}", str(summary.n_scored), *numbers, router)
     return _Line(cells, math.inf if metrics is None else metrics["rel"], metrics, bool(aligned))
 
 

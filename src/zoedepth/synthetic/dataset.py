@@ -67,7 +67,7 @@ class SyntheticScenes(Dataset[Sample]):
         self.size = size
         self.seed = seed
         self._domains = tuple(domains)
-        self._fields_of_view = fields_of_view
+        self.fields_of_view = fields_of_view
 
     def __len__(self) -> int:
         return self.n
@@ -82,7 +82,7 @@ class SyntheticScenes(Dataset[Sample]):
             raise IndexError(index)
         domain = self._domains[index % len(self._domains)]
         rng = np.random.default_rng((self.seed, index))
-        photo, depth, camera = make_picture(domain, self.size, rng, fields_of_view=self._fields_of_view)
+        photo, depth, camera = make_picture(domain, self.size, rng, fields_of_view=self.fields_of_view)
         return Sample(
             image=torch.from_numpy(photo).permute(2, 0, 1).float() / 255,
             target=torch.from_numpy(depth)[None],

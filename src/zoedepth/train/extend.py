@@ -15,21 +15,44 @@ from zoedepth.model.zoedepth import ZoeDepth
 _ROUND = (1, 2, 3, 5, 8, 10)
 
 
-def extended_config(config: ModelConfig, far: Mapping[str, float]) -> ModelConfig:
-    """Return the config with a head for each domain of the data, reaching as far as the data does.
+def head_of(config: ModelConfig, domain: str) -> str:
+    """Return the name of the head that learns a domain of the data.
 
     A model with a single domain takes all photos, whatever their domain is called: it keeps its one head.
+    """
+    return config.domains[0].name if len(config.domains) == 1 else domain
+
+
+def origin_of(config: ModelConfig, domain: str, metres: float) -> Domain:
+    """Return the domain of a model whose head a domain of the data starts from.
 
     Args:
         config: the config of the model there is.
-        far: domain of the data → its farthest depth in metres.
+        domain: name of the domain of the data.
+        metres: its farthest depth.
+    """
+    name = head_of(config, domain)
+    return config.domains[_most_like(Domain(name, max_depth=max(metres, 2 * Domain.min_depth)), config.domains)]
+
+
+def extended_config(
+    config: ModelConfig, far: Mapping[str, float], *, focal_px: Mapping[str, float] | None = None
+) -> ModelConfig:
+    """Return the config with a head for each domain of the data, reaching as far as the data does.
+
+    Args:
+        config: the config of the model there is.
+        far: domain of the data → its farthest depth in metres, as the head learns it.
+        focal_px: head → focal length of the photos that it learns from, unknown for a head that is left out; None
+            leaves all heads what they have.
     """
     domains = {domain.name: domain for domain in config.domains}
     for name, metres in far.items():
-        name = config.domains[0].name if len(config.domains) == 1 else name
+        name = head_of(config, name)
         old = domains.get(name)
         if old is None or metres > old.max_depth:
-            domains[name] = replace(old or Domain(name), max_depth=_round_up(metres))
+            old = replace(old or Domain(name), max_depth=_round_up(metres))
+        domains[name] = old if focal_px is None else replace(old, focal_px=focal_px.get(name))
     return replace(config, domains=tuple(domains.values()))
 
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from statistics import median
 
 import torch
 from torch.utils.data import Subset
@@ -20,8 +21,9 @@ from zoedepth.images import atomic_path, write_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.ownership import has_own_mark
+from zoedepth.presets import focal_in_network
 from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, TrainConfig
-from zoedepth.train.extend import extended, extended_config
+from zoedepth.train.extend import extended, extended_config, head_of, origin_of
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
 from zoedepth.train.run import identity_of
@@ -110,7 +112,7 @@ def plan(
     for found in surveys.values():
         for scene, metres in found.far.items():
             far[scene] = max(metres, far.get(scene, 0.0))
-    config = extended_config(model.config, far)
+    config = _config(model.config, surveys, far)
     known, wanted = {d.name for d in model.config.domains}, {d.name for d in config.domains}
     n = sum(found.n for found in surveys.values()) - sum(held_out)
     batch_size = min(4, n) if options.batch_size is None else options.batch_size
@@ -120,7 +122,7 @@ def plan(
         model=config,
         sources=tuple(
             replace(
-                _source(name, found),
+                _source(name, found, canonical=config.canonical_camera),
                 domain=options.domain,
                 depth_scale=options.depth_scale,
                 max_depth=found.max_depth,
@@ -230,9 +232,56 @@ def _look(
     return found, broken | found.unreadable, samples
 
 
-def _source(name: str, found: Survey) -> SourceConfig:
+def _source(name: str, found: Survey, *, canonical: bool) -> SourceConfig:
     """Return a source that shows photos at the scale at which the network will see them: it is to learn this camera."""
-    return SourceConfig(name, crop="fit", sparse=found.sparse, rotate_degrees=2.0, color_probability=0.8)
+    return SourceConfig(
+        name,
+        crop="fit",
+        sparse=found.sparse,
+        rotate_degrees=2.0,
+        color_probability=0.8,
+        without_camera="assume" if canonical and not found.n_cameras else "refuse",
+    )
+
+
+def _config(config: ModelConfig, surveys: Mapping[str, Survey], far: Mapping[str, float]) -> ModelConfig:
+    """Return the config of the model that is trained: heads for all domains, and the camera that their metres are of.
+
+    In a canonical camera it stays what it is, and depth reaches as far as it does once it is scaled to it. Else it
+    becomes that of the data: the median of its focal lengths, or unknown if the camera of a photo is.
+
+    Args:
+        config: the config of the model there is.
+        surveys: name of a data set → what was found in it.
+        far: domain → its farthest depth, metres.
+
+    Raises:
+        InputError: the model is in a canonical camera, and the camera of some photos of a data set is known and of
+            others is not.
+    """
+    lenses: dict[str, list[float]] = {}
+    unknown: set[str] = set()
+    scaled = dict.fromkeys(far, 0.0)
+    for name, found in surveys.items():
+        if config.canonical_camera and 0 < found.n_cameras < found.n_seen:
+            raise InputError(
+                f"{name} says the camera of {found.n_cameras} of the {found.n_seen} photos that were looked at: give "
+                "fx, fy, cx, cy for all of them, in the list or in dataset.json, or for none"
+            )
+        for scene, metres in found.far.items():
+            cameras = found.cameras.get(scene, ())
+            focal = [focal_in_network(config, (camera.fx, camera.fy), camera.size) for camera in cameras]
+            lenses.setdefault(head_of(config, scene), []).extend(focal)
+            if len(cameras) < found.count[scene]:
+                unknown.add(head_of(config, scene))
+            canonical = origin_of(config, scene, far[scene]).focal_px if config.canonical_camera else None
+            widest = canonical / min(focal) if canonical is not None and focal else 1.0
+            scaled[scene] = max(scaled[scene], metres * widest)
+    if config.canonical_camera:
+        one = {head_of(config, scene): origin_of(config, scene, metres).focal_px for scene, metres in far.items()}
+        return extended_config(config, scaled, focal_px={head: focal for head, focal in one.items() if focal})
+    learned = {head: round(median(found), 2) for head, found in lenses.items() if head not in unknown}
+    return extended_config(config, scaled, focal_px=learned)
 
 
 def steps_for(n: int, batch_size: int) -> int:
@@ -257,9 +306,18 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     n = len(dataset)
     held_out = Subset(dataset, range(n - plan.config.holdout, n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
+    knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
+    tested = ModelSource(load_model(model), camera="data" if knows else "none")
     with torch.no_grad():
-        results = score_dataset(ModelSource(load_model(model)), held_out, protocols)
-    return summarise(label, name, list(results.scores.values()), protocols, n_failed=len(results.failures))
+        results = score_dataset(tested, held_out, protocols)
+    return summarise(
+        label,
+        name,
+        list(results.scores.values()),
+        protocols,
+        n_failed=len(results.failures),
+        camera=tested.camera,
+    )
 
 
 def _write(out: Path, model: DepthModel, measured: Mapping[str, tuple[Summary, Summary]]) -> None:

@@ -58,7 +58,10 @@ def _prediction_row(predictor: Predictor, sample: Sample, stage: Literal["relati
     else:
         names = [domain.name for domain in predictor.model.config.domains]
         domain = sample.domain if sample.domain in names and len(names) > 1 else None
-        predicted = resize_depth(predictor(photo, domain=domain).depth, truth.shape)
+        # Samples that are augmented already have no camera, and the depth of the canonical one.
+        told = predictor.model.config.canonical_camera and sample.camera is not None
+        camera = sample.camera if told else "none"
+        predicted = resize_depth(predictor(photo, domain=domain, camera=camera).depth, truth.shape)
     return _row(sample, truth, known, predicted, metres=stage == "metric")
 
 

@@ -89,6 +89,9 @@ class _WithCamera(Subset[Sample]):
     def __getitem__(self, idx: Any) -> Sample:
         return self._assume(super().__getitem__(idx), np.random.default_rng(0))  # it draws nothing
 
+    def __getitems__(self, indices: list[int]) -> list[Sample]:
+        return [self[index] for index in indices]
+
 
 def _part(dataset: Dataset[Sample], indices: Sequence[int], source: SourceConfig) -> "Subset[Sample]":
     return Subset(dataset, indices) if source.focal_px is None else _WithCamera(dataset, indices, source.focal_px)

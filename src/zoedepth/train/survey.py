@@ -11,6 +11,7 @@ from zoedepth.data.integrity import most_broken, named
 from zoedepth.data.plausible import Doubts, doubts, glance
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
 
 MOST = 200
 """Largest number of pairs to look at. Of more pairs, this many are taken, evenly spread over the data set."""
@@ -35,12 +36,19 @@ class Survey:
     that stands for unknown do not count."""
     count: dict[str, int]
     """Domain → number of its pairs among those looked at."""
+    cameras: dict[str, tuple[Camera, ...]]
+    """Domain → the cameras of its photos, one for each photo that has one."""
     doubts: Doubts = field(default_factory=Doubts)
     """Findings about the depth that are not plausible."""
     max_depth: float | None = None
     """Metres from which on a mark stands for unknown, where there certainly is one."""
     unreadable: dict[int, str] = field(default_factory=dict)
     """Number of a pair that could not be read → what is wrong with it."""
+
+    @property
+    def n_cameras(self) -> int:
+        """Number of the photos looked at whose camera is known."""
+        return sum(len(cameras) for cameras in self.cameras.values())
 
     @property
     def sparse(self) -> bool:
@@ -70,6 +78,7 @@ def survey(
     shown = set(evenly(places, 6))
     sizes: Counter[tuple[int, int]] = Counter()
     count: Counter[str] = Counter()
+    cameras: dict[str, list[Camera]] = {}
     glances, n_pixels, samples = [], [], []
     unreadable: dict[int, str] = {}
     for place in places:
@@ -85,6 +94,9 @@ def survey(
             )
         sizes[(sample.image.shape[1], sample.image.shape[2])] += 1
         count[sample.domain] += 1
+        if sample.camera is not None:
+            size = (sample.image.shape[1], sample.image.shape[2])
+            cameras.setdefault(sample.domain, []).append(Camera.of(sample.camera, size))
         n_pixels.append(sample.mask.numel())
         glances.append(glance(depth_file(data, place, sample), sample.domain, sample.target[sample.mask].numpy()))
         if place in shown:
@@ -123,6 +135,7 @@ def survey(
             near={domain: float(np.percentile(depth, 0.5)) for domain, depth in depths.items()},
             far={domain: float(np.percentile(depth, 99.5)) for domain, depth in depths.items()},
             count=dict(count),
+            cameras={domain: tuple(found) for domain, found in cameras.items()},
             doubts=found,
             max_depth=max_depth,
             unreadable=unreadable,

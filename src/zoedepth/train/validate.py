@@ -28,9 +28,10 @@ def validate(
         model: the model; it is left in the mode (training or evaluation) that it was in.
         validation: name of a data set → its held-out samples.
         stage: "metric" measures REL, RMSE and delta1 under the paper's protocol, and the share of images sent to the
-            right head ("router"). "relative" measures the RMSE of the disparity ("disparity_rmse"): the prediction gets
-            its scale and shift by least squares, and the true disparity of each image is scaled to [0, 1], as MiDaS
-            v3.1 compares its trainings.
+            right head ("router"). A model in a canonical camera is told the camera of each photo, where it is known.
+            "relative" measures the RMSE of the disparity ("disparity_rmse"): the prediction gets its scale and shift by
+            least squares, and the true disparity of each image is scaled to [0, 1], as MiDaS v3.1 compares its
+            trainings.
 
     Returns:
         ``validation/{name}/{metric}`` → value. Metrics without any pixel to measure are left out.
@@ -60,7 +61,8 @@ def _metric(model: DepthModel, samples: Iterator[Sample]) -> dict[str, float]:
 
 def _score(model: DepthModel, sample: Sample) -> Score:
     protocol = protocol_of(sample.domain)
-    prediction, shown = predict(ModelSource(model), sample, protocol)
+    known = model.config.canonical_camera and sample.camera is not None
+    prediction, shown = predict(ModelSource(model, camera="data" if known else "none"), sample, protocol)
     return score(prediction, shown, protocol)
 
 

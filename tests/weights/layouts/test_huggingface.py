@@ -1,5 +1,6 @@
 """Ours against transformers' own ZoeDepth: small, random, of every kind; no released weights are needed."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from zoedepth.config import AttractorConfig, Domain, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
-from zoedepth.presets import PRESETS
+from zoedepth.presets import PRESETS, in_training_cameras
 from zoedepth.weights.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from zoedepth.weights.layouts import huggingface
 from zoedepth.weights.load import load_model, model_of
@@ -250,6 +251,20 @@ def test_heads_of_other_names_keep_them(tmp_path: Path):
     assert model.config.domains == (Domain("kitchen", 1e-3, 10.0), Domain("street", 1e-3, 80.0))
     write_checkpoint(read_checkpoint(tmp_path / "theirs"), tmp_path / "ours", to="huggingface")
     assert load_model(tmp_path / "ours").config == model.config
+
+
+def test_focal_lengths_come_along_and_a_canonical_camera_is_refused(tmp_path: Path):
+    twin(twin_config(heads=(NYU, KITTI))).save_pretrained(tmp_path / "theirs")
+    checkpoint = read_checkpoint(tmp_path / "theirs")
+    indoor, outdoor = checkpoint.config.domains
+    assert checkpoint.config == in_training_cameras(checkpoint.config)
+    assert indoor.focal_px is not None
+    own = replace(checkpoint.config, domains=(replace(indoor, focal_px=777.0), outdoor))
+    write_checkpoint(checkpoint._replace(config=own), tmp_path / "own", to="huggingface")
+    assert [domain.focal_px for domain in load_model(tmp_path / "own").config.domains] == [777.0, outdoor.focal_px]
+    canonical = checkpoint._replace(config=replace(own, canonical_camera=True))
+    with pytest.raises(InputError, match="canonical camera True"):
+        write_checkpoint(canonical, tmp_path / "canonical", to="huggingface")
 
 
 # --- the range of ZoeD-K ----------------------------------------------------------------------------------------------
