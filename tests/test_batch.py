@@ -15,6 +15,7 @@ import torch
 from PIL import Image
 
 from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
+from zoedepth.calibration import Calibration, Reading
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.geometry.lens import Lens
@@ -308,6 +309,28 @@ class TestPredictPhoto:
             "median_confidence": 0.8,
             "files": {"depth": "a_depth.png", "preview": "a_preview.jpg"},
         }
+
+    def test_a_photo_that_a_calibration_is_not_of_fails_and_the_others_go_on(self, tmp_path: Path) -> None:
+        write_photo(tmp_path / "in" / "a.png", size=(12, 16))
+        write_photo(tmp_path / "in" / "b.png", size=(12, 12))
+        plain = Brightness()(tmp_path / "in" / "a.png")
+        calibration = Calibration(3.0, camera=plain.camera, readings=(Reading(((1, 2),), 3.0, 1.0, 3.0),))
+        request = Request("brightness", ("npy",), calibration=calibration)
+        outcomes = {outcome.photo.path.name: outcome for outcome in run(tmp_path / "in", tmp_path / "out", request)}
+        np.testing.assert_allclose(np.load(tmp_path / "out" / "a_depth.npy"), 3 * plain.depth)
+        assert outcomes["a.png"].sidecar["calibration"] == replace(calibration, readings=()).to_json()
+        assert "does not hold for this photo: its photo has 16 x 12 pixels" in str(outcomes["b.png"].failure)
+        assert names(tmp_path / "out") == {"a_depth.npy", "a.json"}
+
+    def test_a_camera_that_nobody_knows_is_noted_where_depth_would_be_corrected(self, tmp_path: Path) -> None:
+        photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
+        predictor = Brightness()
+        assert predict_photo(photo, predictor, REQUEST).notes == ()
+        predictor.focal_correction = True
+        (note,) = predict_photo(photo, predictor, REQUEST).notes
+        assert note.startswith("without a known camera: that of the training photos was assumed")
+        predictor.camera = "none"
+        assert predict_photo(photo, predictor, REQUEST).notes == ()
 
     def test_relative_depth(self, tmp_path: Path) -> None:
         photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")

@@ -107,7 +107,7 @@ class Predictor:
             raise InputError(
                 f"the config of this model does not say with what focal length it was trained for {', '.join(unknown)} "
                 "(Domain.focal_px), so that depth cannot be corrected by the focal length of the photo: leave "
-                "focal_correction out"
+                "focal_correction out (--focal-correction)"
             )
         exported = next(model.parameters(), None) is None  # such a model stays where its runtime is
         if exported and device is not None and str(device) not in ("auto", "cpu"):

@@ -4,9 +4,10 @@ import errno
 import json
 import os
 import re
+import shutil
 import signal
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -15,8 +16,11 @@ import pytest
 import torch
 from PIL import Image
 
+from zoedepth.calibration import Calibration, write_calibration
 from zoedepth.cli import main
 from zoedepth.depth_map import DepthMap
+from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS
 from zoedepth.predict import Predictor
@@ -202,6 +206,135 @@ class TestOptions:
     def test_out_must_be_a_folder(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert predict(photo, out=photo) == 2
         assert "is a file: give a folder" in capsys.readouterr().err
+
+
+class TestCamera:
+    """Of a model that knows the focal length of its training photos, canonical or not."""
+
+    @pytest.fixture
+    def model(self, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> ZoeDepth:
+        domains = tuple(replace(domain, focal_px=50.0) for domain in tiny_model.config.domains)
+        tiny_model.config = replace(tiny_model.config, domains=domains)
+        return tiny_model
+
+    def sidecar(self, photo: Path, *options: object) -> dict[str, Any]:
+        out = photo.parent / "out"
+        assert predict(photo, "--no-flip", "--save", "npy", *options, out=out) == 0
+        return json.loads((out / f"{photo.stem}.json").read_text())
+
+    @pytest.mark.parametrize(
+        ("options", "known"),
+        [
+            (["--fov-x", 70], Lens(fov_x=70)),
+            (["--fov-y", 50], Lens(fov_y=50)),
+            (["--fov-diagonal", 80], Lens(fov_diagonal=80)),
+            (["--focal-px", 33.3], Lens(focal_px=33.3)),
+            (["--intrinsics", 33.3, 44.4, 20.1, 14.2], Intrinsics(33.3, 44.4, 20.1, 14.2)),
+        ],
+    )
+    def test_an_option_gives_it_and_depth_is_corrected(
+        self, photo: Path, model: ZoeDepth, options: list[object], known: Lens | Intrinsics
+    ) -> None:
+        expected = Predictor(model, flip_average=False)(photo, camera=known)
+        sidecar = self.sidecar(photo, *options)
+        assert sidecar["camera"] == {**asdict(expected.camera), "size": [30, 40]}
+        assert sidecar["camera"]["source"] == "given"
+        assert sidecar["focal_correction"] == expected.focal_correction != 1
+        np.testing.assert_array_equal(np.load(photo.parent / "out" / "photo_depth.npy"), expected.depth)
+        uncorrected = self.sidecar(photo, *options, "--focal-correction", "no")
+        assert uncorrected["camera"] == sidecar["camera"]
+        assert uncorrected["focal_correction"] == 1
+
+    def test_a_file_and_a_sidecar_give_it(self, photo: Path, model: ZoeDepth, tmp_path: Path) -> None:
+        np.savetxt(tmp_path / "k.txt", [[33.3, 0, 20.1], [0, 44.4, 14.2], [0, 0, 1]])
+        sidecar = self.sidecar(photo, "--camera", tmp_path / "k.txt")
+        assert (sidecar["camera"]["fx"], sidecar["camera"]["cy"]) == (33.3, 14.2)
+        shutil.copy(tmp_path / "out" / "photo.json", tmp_path / "camera.json")
+        assert self.sidecar(photo, "--camera", tmp_path / "camera.json")["camera"] == sidecar["camera"]
+
+    def test_notes_give_it_unless_nobody_shall_be_asked(self, tmp_path: Path, model: ZoeDepth) -> None:
+        exif = Image.Exif()
+        exif[0x0112] = 6
+        exif.get_ifd(0x8769)[0xA405] = 26
+        photo = tmp_path / "photo.jpg"
+        Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 30, 3), np.uint8)).save(photo, exif=exif)
+        for options in ([], ["--camera", "exif"]):
+            sidecar = self.sidecar(photo, *options)
+            assert (sidecar["camera"]["source"], sidecar["camera"]["size"]) == ("exif", [30, 40])
+            assert "26 mm" in sidecar["camera_note"]
+            assert sidecar["focal_correction"] == 1  # this model was not trained in one camera
+        corrected = self.sidecar(photo, "--focal-correction", "yes")
+        expected = Predictor(model, flip_average=False, focal_correction=True)(photo)
+        assert corrected["focal_correction"] == expected.focal_correction != 1
+        np.testing.assert_array_equal(np.load(tmp_path / "out" / "photo_depth.npy"), expected.depth)
+        sidecar = self.sidecar(photo, "--camera", "none")
+        assert sidecar["camera"]["source"] == "assumed"
+        assert "camera_note" not in sidecar
+
+    def test_how_many_nobody_knows_is_said_where_it_matters(
+        self, model: ZoeDepth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        photos = [write_photo(tmp_path / f"{index}.png") for index in range(3)]
+        for canonical, options, said in (
+            (True, [], True),
+            (True, ["--camera", "none"], False),
+            (True, ["--focal-correction", "no"], False),
+            (True, ["--fov-x", "60"], False),
+            (False, [], False),
+            (False, ["--focal-correction", "yes"], True),
+        ):
+            model.config = replace(model.config, canonical_camera=canonical)
+            assert predict(*photos, "--no-flip", "--save", "npy", *options, out=tmp_path / "out") == 0
+            assert ("3 without a known camera" in capsys.readouterr().err) == said
+        assert "no EXIF" in json.loads((tmp_path / "out" / "1.json").read_text())["camera_note"]
+
+    def test_photos_that_it_is_not_of_fail(
+        self, photo: Path, model: ZoeDepth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        """The first says the size; half of it is the same camera, and another shape is not."""
+        half, other = write_photo(tmp_path / "q.png", size=(15, 20)), write_photo(tmp_path / "r.png", size=(30, 30))
+        assert predict(photo, half, other, "--no-flip", "--focal-px", 50, out=tmp_path / "out") == 1
+        assert "of photos of 40 x 30 pixels, and the photo has 30 x 30" in capsys.readouterr().err
+        assert json.loads((tmp_path / "out" / "q.json").read_text())["camera"]["fx"] == 25
+
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            (["--camera", "exif", "--fov-x", "70"], "--camera and --fov-x each say the camera"),
+            (["--camera", "nowhere.yaml"], "there is no file 'nowhere.yaml'"),
+            (["--fov-x", "0"], "between 0 and 180"),
+            (["--fov-diagonal", "nan"], "between 0 and 180"),
+            (["--focal-px", "-1400"], "focal length"),
+            (["--intrinsics", "0", "50", "20", "15"], "focal length"),
+            (["--intrinsics", "500", "500", "320", "240"], "far from the middle of a photo of 40 x 30"),
+            (["--relative", "--fov-x", "70"], "no metres"),
+            (["--relative", "--focal-correction", "yes"], "no metres"),
+            (["--focal-correction", "yes"], "does not say with what focal length"),
+            (["--calibration", "nowhere.json"], "nowhere.json"),
+        ],
+    )
+    def test_a_wrong_option_is_found_before_the_first_photo(
+        self, photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], message: str
+    ) -> None:
+        assert predict(photo, *options, out=tmp_path / "out") == 2
+        assert message in " ".join(capsys.readouterr().err.replace("│", " ").split())
+        assert not (tmp_path / "out").exists()
+
+    def test_a_calibration_puts_the_metres_right_and_is_told(
+        self, photo: Path, tiny_model: ZoeDepth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        plain = Predictor(tiny_model, flip_average=False)(photo)
+        calibration = Calibration(2.5, scale_error=0.1, camera=plain.camera, domain=plain.domain, network="zoed-lite")
+        write_calibration(tmp_path / "c.json", calibration)
+        sidecar = self.sidecar(photo, "--calibration", tmp_path / "c.json")
+        np.testing.assert_array_equal(np.load(tmp_path / "out" / "photo_depth.npy"), calibration.apply(plain.depth))
+        assert Calibration.from_json(sidecar["calibration"]) == calibration
+        assert (
+            predict(photo, "--no-flip", "--calibration", tmp_path / "c.json", "--fov-x", 120, out=tmp_path / "o") == 1
+        )
+        assert "the calibration does not hold for this photo" in capsys.readouterr().err
+        assert predict(photo, "--relative", "--calibration", tmp_path / "c.json", out=tmp_path / "o") == 2
+        assert "no metres: leave out calibration" in capsys.readouterr().err
 
 
 class TestWhatItSays:

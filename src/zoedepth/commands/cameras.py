@@ -26,7 +26,7 @@ def chosen_camera(
 ) -> "CameraChoice":
     """Return the camera that the options say.
 
-    What is in pixels and has no size of its own, is of photos of the size of the first that can be read.
+    What is in pixels and has no size of its own is of photos of the size of the first that can be read.
 
     Args:
         photos: the photos, in their order.

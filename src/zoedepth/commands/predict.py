@@ -34,6 +34,8 @@ _IN_JSON = {
 }
 """Name in a line of --json → name in the sidecar."""
 
+_NO_METRES = "relative depth has no metres: leave out the camera, and --focal-correction yes"
+
 _SAVE = tyro.conf.arg(
     metavar=f"[{{{','.join(OUTPUTS)}}} ...]",
     help="kinds of files to write beside the sidecar, also by suffix and with commas (png,exr,glb); without it, depth "
@@ -158,8 +160,9 @@ def predict(
         focal_px=focal_px,
         intrinsics=intrinsics,
     )
-    if relative and (known_camera != "exif" or focal_correction == "yes"):
-        raise InputError("relative depth has no metres: leave out the camera, and --focal-correction yes")
+    about_metres = known_camera != "exif" or focal_correction == "yes"
+    if relative and about_metres:
+        raise InputError(_NO_METRES)
     check_writable(out, option="--out")
     if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
         raise InputError(
@@ -176,6 +179,8 @@ def predict(
             network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
         if not network.config.domains:
             wanted = request(relative=True)
+            if about_metres:
+                raise InputError(_NO_METRES)
         padded = None if pad == "model" else pad == "yes"
         predictor = Predictor(
             network,
