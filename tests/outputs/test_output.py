@@ -74,6 +74,22 @@ def test_maps_must_fit_together() -> None:
         Maps(depth=RAMP, image=IMAGE[:2])
 
 
+def test_panoramas_become_points_and_a_surface_all_around(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    distance = np.full((20, 40), 2, np.float32)
+    maps = Maps(depth=distance, image=np.full((20, 40, 3), 90, np.uint8), panorama=True)
+    for name in ("ball.ply", "ball.glb"):
+        write_maps(tmp_path / name, maps)
+        found = trimesh.load(tmp_path / name)
+        np.testing.assert_allclose(found.bounds, [[-2] * 3, [2] * 3], atol=0.03)
+    write_maps(tmp_path / "ball.npz", maps)
+    with np.load(tmp_path / "ball.npz") as arrays:
+        assert arrays["projection"] == "equirectangular"
+        assert arrays["valid"].all()
+    with pytest.raises(InputError, match="no camera"):
+        Maps(depth=RAMP, camera=CAMERA, panorama=True)
+
+
 def test_confidence_is_that_of_the_standard_deviation() -> None:
     np.testing.assert_allclose(Maps(depth=RAMP, std=RAMP).confidence, 0.5)
     assert Maps(depth=RAMP).confidence is None

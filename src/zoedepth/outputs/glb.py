@@ -17,6 +17,7 @@ from PIL import Image
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import Mesh, build_mesh
+from zoedepth.geometry.panorama import build_panorama_mesh
 from zoedepth.images import OWN_MARK, ImageArray, atomic_path
 from zoedepth.outputs.output import Maps, Options, Output, Written, needed
 
@@ -158,9 +159,11 @@ def _jpeg(image: ImageArray) -> bytes:
 
 
 def _write(path: Path, maps: Maps, options: Options) -> Written:
-    mesh = build_mesh(
-        needed(maps, "depth"), needed(maps, "camera"), valid=maps.valid, max_triangles=options.max_triangles
-    )
+    depth, most = needed(maps, "depth"), options.max_triangles
+    if maps.panorama:
+        mesh = build_panorama_mesh(depth, valid=maps.valid, max_triangles=most)
+    else:
+        mesh = build_mesh(depth, needed(maps, "camera"), valid=maps.valid, max_triangles=most)
     write_glb(path, mesh, image=maps.image)
     return Written({"triangles": len(mesh.faces)})
 

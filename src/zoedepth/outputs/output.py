@@ -13,6 +13,7 @@ from zoedepth.colors import colorize
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.jumps import flying_pixels
+from zoedepth.geometry.panorama import flying_in_panorama
 from zoedepth.geometry.points import known_depth
 from zoedepth.images import DepthArray, ImageArray
 
@@ -28,7 +29,7 @@ class Maps:
     """
 
     depth: DepthArray | None = None
-    """Metres along the optical axis."""
+    """Metres along the optical axis; of a panorama, along the ray."""
     std: DepthArray | None = None
     """Metres: standard deviation of the depth."""
     relative: DepthArray | None = None
@@ -36,9 +37,11 @@ class Maps:
     image: ImageArray | None = None
     """The photo, RGB."""
     camera: Camera | None = None
-    """The camera at the size of the maps."""
+    """The camera at the size of the maps; a panorama has none."""
     depth_range: tuple[float, float] = (0.0, np.inf)
     """Metres: depth at or below the first, or beyond the second, is outside of what the depth can be."""
+    panorama: bool = False
+    """True for a photo of everything around, 360 x 180 degrees, as ``geometry.panorama`` has it."""
 
     def __post_init__(self) -> None:
         maps = {"depth": self.depth, "std": self.std, "relative": self.relative}
@@ -50,6 +53,8 @@ class Maps:
             sizes["camera"] = tuple(self.camera.size)
         if len(set(sizes.values())) > 1:
             raise InputError(f"the maps and the camera of a photo must have one size (height, width), got {sizes}")
+        if self.panorama and self.camera is not None:
+            raise InputError("a panorama looks everywhere and has no camera: leave the camera out")
 
     @property
     def confidence(self) -> DepthArray | None:
@@ -60,8 +65,8 @@ class Maps:
     def valid(self) -> ValidArray | None:
         """True where the depth can be used: it is finite, within ``depth_range``, and no flying pixel.
 
-        Flying pixels hang in the air between a near thing and what is behind it (``geometry.jumps``); without a camera
-        they are not looked for. None without depth. Computed once.
+        Flying pixels hang in the air between a near thing and what is behind it (``geometry.jumps``); where neither a
+        camera nor a panorama is known, they are not looked for. None without depth. Computed once.
         """
         if self.depth is None:
             return None
@@ -69,6 +74,8 @@ class Maps:
         valid = np.isfinite(self.depth) & (self.depth > low) & (self.depth <= high)
         if self.camera is not None:
             valid &= ~flying_pixels(self.depth, self.camera)
+        elif self.panorama:
+            valid &= ~flying_in_panorama(self.depth)
         return valid
 
 

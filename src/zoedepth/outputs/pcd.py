@@ -7,7 +7,7 @@ import numpy as np
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import OWN_MARK, atomic_path
 from zoedepth.outputs.cloud import AXES, Cloud, cloud_of, describe_camera, records
-from zoedepth.outputs.output import Maps, Options, Output, Written, needed
+from zoedepth.outputs.output import Maps, Options, Output, Written
 
 _NAMES = {"nx": "normal_x", "ny": "normal_y", "nz": "normal_z"}
 
@@ -49,7 +49,7 @@ def write_pcd(path: str | Path, cloud: Cloud, *, camera: Camera | None = None) -
 
 
 def _write(path: Path, maps: Maps, options: Options) -> Written:
-    write_pcd(path, cloud_of(maps), camera=needed(maps, "camera"))
+    write_pcd(path, cloud_of(maps), camera=maps.camera)
     return Written()
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import OWN_MARK, atomic_path
 from zoedepth.outputs.cloud import AXES, Cloud, cloud_of, describe_camera, records
-from zoedepth.outputs.output import Maps, Options, Output, Written, needed
+from zoedepth.outputs.output import Maps, Options, Output, Written
 
 _COLORS = ("red", "green", "blue")
 
@@ -39,7 +39,7 @@ def write_ply(path: str | Path, cloud: Cloud, *, camera: Camera | None = None) -
 
 
 def _write(path: Path, maps: Maps, options: Options) -> Written:
-    write_ply(path, cloud_of(maps), camera=needed(maps, "camera"))
+    write_ply(path, cloud_of(maps), camera=maps.camera)
     return Written()
 
 
