@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from tests.weights.layouts.test_files import little_memory
 from zoedepth.config import to_dict
 from zoedepth.errors import InputError
 from zoedepth.export import export_model
+from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
@@ -103,6 +105,17 @@ def test_an_exported_model_says_what_it_cannot_do(file: Path):
         Predictor(exported, device="cuda")
     with pytest.raises(InputError, match="behaviours built in"):
         load_model(file, compat=("squeeze",))
+
+
+def test_depth_is_corrected_by_the_camera_of_the_photo(tmp_path: Path):
+    """The file says the focal length of the training photos, and the predictor does the rest."""
+    config = replace(FAR, domains=(replace(FAR.domains[0], focal_px=300.0),), canonical_camera=True)
+    file = onnx_file(tmp_path / "model.onnx", metadata=json.dumps({"config": to_dict(config)}))
+    photo = np.full((384, 512, 3), 150, np.uint8)
+    predictor = Predictor(load_model(file), pad=False, camera=Lens(focal_px=600.0))
+    found, plain = predictor(photo), predictor(photo, camera="none")
+    assert (found.focal_correction, plain.focal_correction) == (2, 1)
+    np.testing.assert_array_equal(found.depth, 2 * plain.depth)
 
 
 # --- bombs ------------------------------------------------------------------------------------------------------------
