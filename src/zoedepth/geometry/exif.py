@@ -34,8 +34,8 @@ class ExifCamera:
     camera: Camera | None
     """Pinhole camera of the upright photo, its source "exif"; None where the notes tell none."""
     reason: str
-    """What the camera is known by, or why there is none, to be put behind the photo's name and a colon: "its 35-mm
-    focal length is 26 mm", "it has no EXIF"."""
+    """The thing that the camera is known by, or the reason why there is none, to be put behind the photo's name and a
+    colon: "its 35-mm focal length is 26 mm", "it has no EXIF"."""
 
 
 class _Unknown(Exception):
