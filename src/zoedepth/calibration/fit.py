@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from zoedepth.calibration.calibration import Calibration
-from zoedepth.calibration.readings import Distance, Point, Reading, measure, roughness_at, spread_of
+from zoedepth.calibration.readings import Distance, Measured, Point, Reading, measure, roughness_at, spread_of
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.points import check_size, known_depth
@@ -55,6 +55,7 @@ _SIGMAS = PIXEL_ERROR * np.exp(np.linspace(-3, 3.5, 14) * PIXEL_ERROR_SPREAD)
 _REACHES = np.geomspace(0.01, 5, 100)
 _STEPS = 601  # of the grid of log scales
 _MARGIN = 1.0  # of the grid on both sides of the readings
+_UNLIKELY = 1e-9
 _ROUNDS = 50
 _PARTS = 10
 _PLACES = 16  # pixels along a side of the photo at which roughness is looked at
@@ -254,18 +255,22 @@ def _power_helps(
 
 def _posterior(ratios: Float[np.ndarray, " readings"], spread: Float[np.ndarray, " readings"]) -> Posterior:
     low, high = min(ratios.min(), 0) - _MARGIN, max(ratios.max(), 0) + _MARGIN
-    for _ in range(2):  # once more where it is likely
-        grid = np.linspace(low, high, _STEPS)
-        log = _log_prior(grid)
-        square = ((ratios[:, None] - grid) / spread[:, None]) ** 2 / _DEGREES
-        for column, sigma in enumerate(_SIGMAS):
-            each = -(_DEGREES + 1) / 2 * np.log1p(square / sigma**2)
-            log[:, column] += each.sum(axis=0) - len(ratios) * math.log(sigma)
-        probability = np.exp(log - log.max())
-        probability /= probability.sum()
-        likely = grid[probability.sum(axis=1) > 1e-9]
-        low, high = likely[0] - (high - low) / _STEPS, likely[-1] + (high - low) / _STEPS
-    return Posterior(grid, probability)
+    everywhere = _on_grid(np.linspace(low, high, _STEPS), ratios, spread)
+    likely = everywhere.grid[everywhere.probability.sum(axis=1) > _UNLIKELY]
+    step = (high - low) / (_STEPS - 1)
+    return _on_grid(np.linspace(likely[0] - step, likely[-1] + step, _STEPS), ratios, spread)
+
+
+def _on_grid(
+    grid: Float[np.ndarray, " scales"], ratios: Float[np.ndarray, " readings"], spread: Float[np.ndarray, " readings"]
+) -> Posterior:
+    log = _log_prior(grid)
+    square = ((ratios[:, None] - grid) / spread[:, None]) ** 2 / _DEGREES
+    for column, sigma in enumerate(_SIGMAS):
+        each = -(_DEGREES + 1) / 2 * np.log1p(square / sigma**2)
+        log[:, column] += each.sum(axis=0) - len(ratios) * math.log(sigma)
+    probability = np.exp(log - log.max())
+    return Posterior(grid, probability / probability.sum())
 
 
 def _log_prior(grid: Float[np.ndarray, " scales"]) -> Float[np.ndarray, "scales sigmas"]:
