@@ -93,14 +93,15 @@ def tensors_of(x: Any) -> list[Tensor]:
 
 
 class _Exportable(nn.Module):
-    """A head as torch.export takes it: tensors in, a tensor out."""
+    """A head as torch.export takes it: tensors in, tensors out."""
 
     def __init__(self, head: Head) -> None:
         super().__init__()
         self.head = head
 
     def forward(self, bottleneck: Tensor, a: Tensor, b: Tensor, c: Tensor, d: Tensor, last: Tensor, relative: Tensor):
-        return self.head(DecoderFeatures(bottleneck, (a, b, c, d), last, relative)).depth
+        depth, std = self.head(DecoderFeatures(bottleneck, (a, b, c, d), last, relative)).depth_and_std()
+        return (depth,) if std is None else (depth, std)
 
 
 class HeadTester:
@@ -111,14 +112,14 @@ class HeadTester:
         CHANGES: for every field of the config another value, and what the config must be for it to matter.
         BOUNDED: depth stays in the range of the domain.
         HAS_BINS: depth is the mean of a distribution.
-        EXPORTED_AS_TINY: configs that differ from another only in numbers, which an exporter does not see.
+        EXPORTED: configs that pass through every line of the head between them, for the exporter; none: the small one.
     """
 
     TINY: ClassVar[Any]
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]]
     BOUNDED: ClassVar[bool] = True
     HAS_BINS: ClassVar[bool] = True
-    EXPORTED_AS_TINY: ClassVar[tuple[Any, ...]] = ()
+    EXPORTED: ClassVar[tuple[Any, ...]] = ()
 
     def check_centers(self, centers: Tensor, config: Any) -> None:
         """Assert what this head promises of its bin centers (batch, bins, height, width)."""
@@ -250,14 +251,20 @@ class HeadTester:
         other.load_state_dict(torch.load(file, weights_only=True))
         assert torch.equal(other(features).depth, head(features).depth)
 
-    def test_it_can_be_exported(self, head: Head, config: Any):
-        if config in self.EXPORTED_AS_TINY:
-            return
-        bottleneck, levels, last, relative = decoder_features((64, 96), batch=1)
-        inputs = (bottleneck, *levels, last, relative)
-        model = _Exportable(head.eval())
-        exported = torch.export.export(model, inputs, strict=False).module()
-        assert torch.allclose(exported(*inputs), model(*inputs), rtol=1e-4, atol=1e-5)
+    def test_it_can_be_exported(self):
+        """A program for any batch, with all that a whole model asks of a head."""
+        (bottleneck, levels, *rest), (others, other_levels, *other_rest) = (
+            decoder_features((64, 96), batch=batch) for batch in (2, 3)
+        )
+        shapes = ({0: torch.export.Dim("batch", min=1, max=1024)},) * 7
+        for config in self.EXPORTED or (self.TINY,):
+            model = _Exportable(build_head(config).eval())
+            exported = torch.export.export(
+                model, (bottleneck, *levels, *rest), dynamic_shapes=shapes, strict=False
+            ).module()
+            inputs = (others, *other_levels, *other_rest)
+            for found, expected in zip(exported(*inputs), model(*inputs), strict=True):
+                assert torch.allclose(found, expected, rtol=1e-4, atol=1e-5), config
 
     def test_every_field_of_its_config_matters(self):
         assert set(self.CHANGES) == {field.name for field in fields(self.TINY)}

@@ -13,8 +13,12 @@ from zoedepth.model.heads.adabins import ImageBins, PatchTokens, enough, image_c
 TINY = AdaBinsConfig(n_bins=6, width=8, patch=4, n_layers=1, attention_heads=2, feedforward_width=16, n_queries=8)
 
 
+FEW_TOKENS = replace(TINY, n_queries=200)
+
+
 class TestAdaBinsHead(HeadTester):
     TINY = TINY
+    EXPORTED = (TINY, FEW_TOKENS)
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "n_bins": (7, {}),
         "width": (16, {}),
@@ -25,7 +29,7 @@ class TestAdaBinsHead(HeadTester):
         "n_queries": (9, {}),
     }
 
-    @pytest.fixture(params=[TINY, replace(TINY, n_queries=200)], ids=["enough tokens", "fewer tokens than queries"])
+    @pytest.fixture(params=[TINY, FEW_TOKENS], ids=["enough tokens", "fewer tokens than queries"])
     def config(self, request: pytest.FixtureRequest) -> AdaBinsConfig:
         return request.param
 

@@ -32,7 +32,14 @@ OPTIONS = {
 class TestAttractorHead(HeadTester):
     TINY = TINY
     BOUNDED = False
-    EXPORTED_AS_TINY = tuple(OPTIONS[name] for name in ("gamma-one", "normed-mean", "geometric", "two-bins"))
+    EXPORTED = tuple(
+        replace(config, n_attractors=(2, 1, 1, 1))
+        for config in (
+            TINY,
+            replace(NORMED, kind="exponential", reduce="mean", attractor_ratio=False, relative_input=False),
+            replace(NORMED, gamma=3.0, probability="softmax"),
+        )
+    )
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "n_bins": (9, {}),
         "n_attractors": ((4, 3, 2, 2), {}),

@@ -25,6 +25,7 @@ OPTIONS = {
 class TestDornHead(HeadTester):
     TINY = TINY
     HAS_BINS = False
+    EXPORTED = (TINY, OPTIONS["scene-soft"])
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "n_intervals": (9, {}),
         "spacing": ("uniform", {}),

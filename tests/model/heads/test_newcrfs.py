@@ -36,6 +36,7 @@ class TestNewCrfsHead(HeadTester):
     TINY = TINY
     BOUNDED = False  # from above only
     HAS_BINS = False
+    EXPORTED = (OPTIONS["native"],)
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "widths": ((16, 16, 8, 16), {}),
         "attention_heads": ((4, 2, 2, 2), {}),

@@ -29,6 +29,7 @@ LOG_BINOMIAL = {"probability": "log-binomial"}
 
 class TestSplitterHead(HeadTester):
     TINY = TINY
+    EXPORTED = (replace(WINDOWS, factor=3), replace(TINY, probability="log-binomial", relative_input=False))
     CHANGES: ClassVar[dict[str, tuple[Any, dict[str, Any]]]] = {
         "n_seed_bins": (3, {}),
         "factor": (3, {}),
