@@ -53,8 +53,8 @@ class DepthMap:
     """The camera of the photo. ``camera.source`` says who knows it: it was given, or the photo's notes tell it (exif),
     or nobody does, and it is assumed to be that of the model's training photos."""
     camera_note: str = ""
-    """What the photo's notes told of the camera ("its 35-mm focal length is 26 mm"), or why they told none ("it has no
-    EXIF"); empty where they were not asked."""
+    """The photo's notes in a few words: what the camera is known by ("its 35-mm focal length is 26 mm"), or why they
+    tell none ("it has no EXIF"). Empty where they were not asked."""
     focal_correction: float = 1.0
     """The factor by which depth and std were multiplied because the photo's focal length is not that of the training
     photos; 1 where they were not."""

@@ -49,7 +49,7 @@ class _Photo(NamedTuple):
     camera: Camera | None
     """None where nobody knows it."""
     camera_note: str
-    """What its notes tell of the camera, or why they tell none; empty where they were not asked."""
+    """Its notes in a few words, see ``DepthMap.camera_note``."""
 
 
 class Predictor:

@@ -1,4 +1,4 @@
-"""What is known of a camera before the size of the photo is: its lens; and the camera of a photo from what is known."""
+"""The lens, all that is known of a camera before the size of the photo is; and the camera of a photo from either."""
 
 from dataclasses import dataclass, fields
 
@@ -41,7 +41,7 @@ class Lens:
 
 
 KnownCamera = Camera | Intrinsics | Lens
-"""What somebody may know of a camera: all of it, for a photo of one size; or less, for photos of any."""
+"""All that somebody may know of a camera: the whole of it, for photos of one size; or less, for photos of any."""
 
 
 def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
