@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _OTHER_PICTURES = {
     suffix: advice
     for advice, suffixes in (
-        ("which phones write: pip install pillow-heif, or save them as JPEG", ".heic .heif .hif .heics"),
+        ("which phones write: pip install 'zoedepth[heic]', or save them as JPEG", ".heic .heif .hif .heics"),
         ("which are raw: develop them to JPEG or TIFF, e.g. with darktable",
          ".dng .cr2 .cr3 .crw .nef .nrw .arw .sr2 .raf .orf .rw2 .pef .srw .raw .rwl .3fr .iiq .x3f .gpr"),
         ("which are JPEG XL: save them as JPEG", ".jxl"),

