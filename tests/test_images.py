@@ -23,8 +23,11 @@ from zoedepth.images import (
     as_array,
     atomic_path,
     read_image,
+    read_image_with_notes,
     read_image_with_orientation,
+    read_photo_notes,
     to_image,
+    to_image_with_notes,
     write_image,
 )
 
@@ -92,6 +95,34 @@ class TestReadImage:
         np.testing.assert_array_equal(image, photo)
         np.testing.assert_array_equal(read_image(path), photo)
         assert found == orientation
+
+    def test_notes_come_with_the_image_or_without_it(self, photo: np.ndarray, tmp_path: Path) -> None:
+        exif = Image.Exif()
+        exif[0x0112], exif[0x010F] = 6, "a camera"
+        exif.get_ifd(0x8769)[0x920A] = 4.25
+        path = saved(Image.fromarray(photo), tmp_path / "photo.jpg", exif=exif, xmp=b"GPano:ProjectionType")
+        image, notes = read_image_with_notes(path)
+        np.testing.assert_array_equal(image, read_image(path))
+        assert (notes.tags[0x010F], notes.tags[0x920A]) == ("a camera", 4.25)
+        assert (notes.orientation, notes.panorama, notes.damage) == (6, True, "")
+        for source in (path, str(path), io.BytesIO(path.read_bytes()), Image.open(path)):
+            found = to_image_with_notes(source)
+            np.testing.assert_array_equal(found[0], image)
+            assert found[1] == notes
+        assert read_photo_notes(path) == notes
+        path.write_bytes(path.read_bytes()[:-40])  # the pixels are cut short, and nobody needs them
+        assert read_photo_notes(path) == notes
+        with pytest.raises(InputError, match="cut short"):
+            read_image_with_notes(path)
+
+    def test_notes_are_bounded_as_images_are(self, photo: np.ndarray, tmp_path: Path) -> None:
+        path = saved(Image.fromarray(photo), tmp_path / "photo.png")
+        with pytest.raises(InputError, match="over the limit of 9"):
+            read_image_with_notes(path, max_pixels=9)
+        (tmp_path / "photo.txt").write_text("no photo")
+        with pytest.raises(InputError, match=r"photo\.txt is not an image"):
+            read_photo_notes(tmp_path / "photo.txt")
+        assert read_photo_notes(path).tags == {}
 
     def test_broken_exif_is_ignored(self, photo: np.ndarray, tmp_path: Path) -> None:
         path = saved(Image.fromarray(photo), tmp_path / "photo.png", exif=b"Exif\x00\x00not a tiff header")
