@@ -75,7 +75,9 @@ _UPRIGHT = {
 }
 
 
-def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS, photo: bool = True) -> ImageArray:
+def read_image(
+    source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS, photo: bool = True, panorama: bool = False
+) -> ImageArray:
     """Read a photograph as uint8 (height, width, 3), RGB, [0, 255], turned upright by its EXIF orientation.
 
     Grey is repeated to three channels; palette, CMYK and YCbCr are converted; colour profiles are ignored. Alpha is
@@ -87,6 +89,7 @@ def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS,
         source: a path, or a binary file open for reading.
         max_pixels: the most pixels (height * width) a file may claim; one with more is refused before it is decoded.
         photo: False for a mask or a map that is stored as a picture: then nothing is said about what shows in it.
+        panorama: True where a panorama is expected: then nothing is said about its being one.
 
     Raises:
         InputError: the file is missing, not an image, cut short, too large, far too small for the pixels it claims, or
@@ -96,7 +99,7 @@ def read_image(source: str | Path | BinaryFile, *, max_pixels: int = MAX_PIXELS,
         InputWarning: it is nearly black or of one colour, has 16 bits and uses 14 or fewer, has several pages or
             frames, or is a panorama.
     """
-    return _read(source, max_pixels=max_pixels, photo=photo)[0]
+    return _read(source, max_pixels=max_pixels, photo=photo, panorama=panorama)[0]
 
 
 def read_image_with_orientation(
@@ -202,8 +205,10 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _read(source: str | Path | BinaryFile, *, max_pixels: int, photo: bool = True) -> tuple[ImageArray, int]:
-    picture, orientation, _ = _open(source, max_pixels=max_pixels, photo=photo)
+def _read(
+    source: str | Path | BinaryFile, *, max_pixels: int, photo: bool = True, panorama: bool = False
+) -> tuple[ImageArray, int]:
+    picture, orientation, _ = _open(source, max_pixels=max_pixels, photo=photo, panorama=panorama)
     with picture:
         return _from_upright(picture, _name(source), photo=photo), orientation
 
@@ -219,6 +224,7 @@ def _open(
     decode: bool = True,
     notes: bool = False,
     photo: bool = True,
+    panorama: bool = False,
 ) -> tuple[Image.Image, int, PhotoNotes]:
     """Open, decode and turn a picture (``load_upright``), with one kind of error for whatever is wrong with a file.
 
@@ -237,7 +243,7 @@ def _open(
             found = read_notes(picture) if notes else PhotoNotes()
             orientation = found.orientation
             if decode:
-                _warn_of_more(picture, name)
+                _warn_of_more(picture, name, panorama=panorama)
                 deep = any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
                 picture, orientation = load_upright(picture)
                 if photo and deep:
@@ -264,7 +270,7 @@ def _seekable(file: BinaryFile) -> BinaryFile:
     return BytesIO(content)
 
 
-def _warn_of_more(picture: Image.Image, name: str) -> None:
+def _warn_of_more(picture: Image.Image, name: str, *, panorama: bool) -> None:
     """Say that a file holds more than the picture that is read, or another kind of picture than a model is for."""
     if n_full_pages(picture) > 1 or (picture.format in _ANIMATED and getattr(picture, "is_animated", False)):
         _warn(f"{name} has several pages or frames, and the first is read. Save each as a photo of its own")
@@ -273,9 +279,10 @@ def _warn_of_more(picture: Image.Image, name: str) -> None:
             f"{name} has damaged EXIF. Where that says how the photo lies, or its camera, this may be lost: look at "
             "the photo, and turn it if it lies on its side"
         )
-    if is_panorama(picture):
+    if not panorama and is_panorama(picture):
         _warn(
-            f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong"
+            f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong. "
+            "Where it is a whole sphere, zoedepth.predict_panorama looks at it in parts"
         )
 
 

@@ -10,6 +10,7 @@ its own; ``merge`` makes the scales agree where views overlap, and blends.
 
 import math
 from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +33,8 @@ _MARGIN = (
     24  # columns repeated beyond both borders, where a search for jumps looks at neighbours; more where it is wide
 )
 _WIDE = 600
-_COMPARED = 256  # rows of the panorama at which overlapping views are compared
-_FEW = 50  # pixels that two views must share to be compared
+_COMPARED = 128  # rows of the panorama at which overlapping views are compared
+_FEW = 20  # pixels that two views must share to be compared
 _SHARPNESS = 2  # of the borders between views in the blend
 
 
@@ -51,7 +52,7 @@ class Merged(NamedTuple):
     distance: Float32[np.ndarray, "height width"]
     """Metres along the ray."""
     scales: Float[np.ndarray, " views"]
-    """The factor by which the distances of each view were multiplied; their geometric mean is 1."""
+    """The factor by which the distances of each view were multiplied."""
     disagreement: float
     """Mean difference of two views of one place after that, as a fraction of the distance: 0.1 is 10 %."""
 
@@ -64,7 +65,7 @@ def panorama_views(size: tuple[int, int] = (480, 640)) -> list[View]:
     """
     camera = Camera.from_fov(size, horizontal=FOV)
     return [
-        View(camera, _turn(math.radians(above), 2 * math.pi * number / count))
+        View(camera, turn(math.radians(above), 2 * math.pi * number / count))
         for above, count in RINGS
         for number in range(count)
     ]
@@ -109,9 +110,11 @@ def resized(
 def merge(depths: Sequence[Float[np.ndarray, "_ _"]], views: Sequence[View], size: tuple[int, int]) -> Merged:
     """Merge the depths of views to one distance all around.
 
-    Each view's distances are multiplied by one factor. The factors make the logarithms of the distances agree where
-    views overlap: the least squares of the median differences of all pairs, each weighted by the pixels they share.
-    Then the logarithms are averaged, with weights that fall to zero at the border of each view.
+    Each view's distances are multiplied by one factor, so that they agree where views overlap, without going further
+    from the view's own metres than needed: least squares of the logarithms. There is an equation for each pair of views
+    (their factors make up for the median of the difference), weighted by the pixels that they share, and one for each
+    view (its factor is 1), weighted by its pixels. Then the distances are averaged, with weights that fall to zero at
+    the border of each view. One more factor gives the average the same mean distance as the views have without theirs.
 
     Args:
         depths: metres along the optical axis of each view, finite and above 0.
@@ -125,14 +128,48 @@ def merge(depths: Sequence[Float[np.ndarray, "_ _"]], views: Sequence[View], siz
     check_panorama(size)
     logs = [_log_distance(depth, view) for depth, view in zip(depths, views, strict=True)]
     shifts, disagreement = _agreement(logs, views, min(_COMPARED, size[0]))
-    total, weights = np.zeros(size[0] * size[1], np.float32), np.zeros(size[0] * size[1], np.float32)
+    total, raw, weights = (np.zeros(size[0] * size[1], np.float32) for _ in range(3))
     for log, view, shift in zip(logs, views, shifts, strict=True):
-        place, values, weight = _spread(log, view, size)
-        total[place] += weight * (values + np.float32(shift))
+        place, values, weight = spread(log, view, size)
+        weighted = weight * np.exp(values)
         weights[place] += weight
+        raw[place] += weighted
+        total[place] += weighted * np.float32(math.exp(shift))
     if not (weights > 0).all():
         raise InputError("the views of a panorama must see all of it: use those of panorama_views")
-    return Merged(np.exp(total / weights).reshape(size), np.exp(shifts), disagreement)
+    area = np.repeat(np.cos(_angles(*size)[1]), size[1])
+    factor = float((raw / weights * area).sum() / (total / weights * area).sum())
+    distance = (total / weights).reshape(size) * np.float32(factor)
+    return Merged(distance, np.exp(shifts) * factor, disagreement)
+
+
+def spread(
+    values: Float32[np.ndarray, "_ _"], view: View, size: tuple[int, int]
+) -> tuple[np.ndarray, Float32[np.ndarray, " places"], Float32[np.ndarray, " places"]]:
+    """Return where in a panorama of ``size`` a view lies: (numbers of the pixels, row by row, its values, weights).
+
+    The values are interpolated. The weights are 1 in the middle of the view and fall to 0 at its border.
+    """
+    longitude, latitude = _angles(*size)
+    camera, ahead = view.camera, view.rotation[:, 2]
+    corner = camera.ray(-0.5, -0.5)
+    reach = math.acos(1 / float(np.linalg.norm(corner)))
+    above = math.asin(max(-1.0, min(1.0, -float(ahead[1]))))
+    rows = np.flatnonzero(np.abs(latitude - above) <= reach)
+    rays = _unit(longitude[None], latitude[rows, None]).reshape(-1, 3)
+    place = np.flatnonzero(rays @ ahead.astype(np.float32) > math.cos(reach))
+    x, y = np.moveaxis(camera.project(rays[place] @ view.rotation.astype(np.float32)), -1, 0)
+    height, width = camera.size
+    across, along = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
+    inside = (np.abs(across) < 1) & (np.abs(along) < 1)
+    place, x, y, across, along = place[inside], x[inside], y[inside], across[inside], along[inside]
+    weight = ((1 - across**2) * (1 - along**2)) ** _SHARPNESS
+    column, row = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    left, top = np.minimum(column.astype(np.int32), width - 2), np.minimum(row.astype(np.int32), height - 2)
+    right, down = column - left, row - top
+    upper = values[top, left] * (1 - right) + values[top, left + 1] * right
+    lower = values[top + 1, left] * (1 - right) + values[top + 1, left + 1] * right
+    return place + rows[0] * size[1], upper * (1 - down) + lower * down, weight
 
 
 def directions(size: tuple[int, int]) -> Float32[np.ndarray, "height width 3"]:
@@ -233,6 +270,15 @@ def build_panorama_mesh(
     return _textured(vertices, faces)
 
 
+def turn(above: float, around: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation of a camera that looks so far above the horizon and around to the right, radians."""
+    ahead = np.array([
+        math.cos(above) * math.sin(around), -math.sin(above), math.cos(above) * math.cos(around)
+    ])  # fmt: skip
+    right = np.array([math.cos(around), 0.0, -math.sin(around)])
+    return np.stack([right, np.cross(ahead, right), ahead], axis=1)
+
+
 def check_panorama(size: tuple[int, ...]) -> None:
     """Refuse a size that is not that of a panorama.
 
@@ -245,15 +291,6 @@ def check_panorama(size: tuple[int, ...]) -> None:
             f"a panorama of 360 x 180 degrees is twice as wide as high, and this has {width} x {height} pixels. Put a "
             "part of one into its place in a picture of the whole first"
         )
-
-
-def _turn(above: float, around: float) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation of a camera that looks so far above the horizon and around to the right, radians."""
-    ahead = np.array([
-        math.cos(above) * math.sin(around), -math.sin(above), math.cos(above) * math.cos(around)
-    ])  # fmt: skip
-    right = np.array([math.cos(around), 0.0, -math.sin(around)])
-    return np.stack([right, np.cross(ahead, right), ahead], axis=1)
 
 
 def _angles(height: int, width: int) -> tuple[Float[np.ndarray, " width"], Float[np.ndarray, " height"]]:
@@ -302,57 +339,31 @@ def _log_distance(depth: Float[np.ndarray, "_ _"], view: View) -> Float32[np.nda
     return np.log(depth * np.linalg.norm(view.camera.rays(), axis=-1)).astype(np.float32)
 
 
-def _spread(
-    values: Float32[np.ndarray, "_ _"], view: View, size: tuple[int, int]
-) -> tuple[np.ndarray, Float32[np.ndarray, " places"], Float32[np.ndarray, " places"]]:
-    """Return the pixels of a panorama that a view sees, by their numbers, its values there, and their weights."""
-    longitude, latitude = _angles(*size)
-    camera, ahead = view.camera, view.rotation[:, 2]
-    corner = camera.ray(-0.5, -0.5)
-    reach = math.acos(1 / float(np.linalg.norm(corner)))
-    above = math.asin(max(-1.0, min(1.0, -float(ahead[1]))))
-    rows = np.flatnonzero(np.abs(latitude - above) <= reach)
-    rays = _unit(longitude[None], latitude[rows, None]).reshape(-1, 3)
-    place = np.flatnonzero(rays @ ahead.astype(np.float32) > math.cos(reach))
-    x, y = np.moveaxis(camera.project(rays[place] @ view.rotation.astype(np.float32)), -1, 0)
-    height, width = camera.size
-    across, along = (x + 0.5) * (2 / width) - 1, (y + 0.5) * (2 / height) - 1
-    inside = (np.abs(across) < 1) & (np.abs(along) < 1)
-    place, x, y, across, along = place[inside], x[inside], y[inside], across[inside], along[inside]
-    weight = ((1 - across**2) * (1 - along**2)) ** _SHARPNESS
-    column, row = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
-    left, top = np.minimum(column.astype(np.int32), width - 2), np.minimum(row.astype(np.int32), height - 2)
-    right, down = column - left, row - top
-    upper = values[top, left] * (1 - right) + values[top, left + 1] * right
-    lower = values[top + 1, left] * (1 - right) + values[top + 1, left + 1] * right
-    return place + rows[0] * size[1], upper * (1 - down) + lower * down, weight
-
-
 def _agreement(
     logs: list[Float32[np.ndarray, "_ _"]], views: Sequence[View], height: int
 ) -> tuple[Float[np.ndarray, " views"], float]:
     """Return what is to be added to the logarithm of each view so that they agree, and how far they do not then."""
-    seen = np.full((len(views), height * 2 * height), np.nan, np.float32)
+    n = len(views)
+    seen = np.full((n, height * 2 * height), np.nan, np.float32)
     for row, log, view in zip(seen, logs, views, strict=True):
-        place, values, _ = _spread(log, view, (height, 2 * height))
+        place, values, _ = spread(log, view, (height, 2 * height))
         row[place] = values
     area = np.repeat(np.cos(_angles(height, 2 * height)[1]), 2 * height)  # of a pixel: small at the poles
-    equations, differences, pairs = [np.ones(len(views))], [0.0], []
-    for one in range(len(views)):
-        for other in range(one + 1, len(views)):
-            apart = seen[one] - seen[other]
-            both = np.flatnonzero(~np.isnan(apart))
-            if len(both) < _FEW:
-                continue
-            weight = math.sqrt(area[both].sum())
-            equation = np.zeros(len(views))
-            equation[one], equation[other] = weight, -weight
-            equations.append(equation)
-            differences.append(-weight * float(np.median(apart[both])))
-            pairs.append((one, other, both))
+    own = np.sqrt([area[~np.isnan(row)].sum() for row in seen])
+    equations, differences, pairs = list(np.diag(own)), [0.0] * n, []
+    for one, other in combinations(range(n), 2):
+        both = np.flatnonzero(~np.isnan(seen[one]) & ~np.isnan(seen[other]))
+        if len(both) < _FEW:
+            continue
+        weight = math.sqrt(area[both].sum())
+        equation = np.zeros(n)
+        equation[one], equation[other] = weight, -weight
+        equations.append(equation)
+        differences.append(-weight * float(np.median(seen[one, both] - seen[other, both])))
+        pairs.append((one, other, both))
     shifts = np.linalg.lstsq(np.array(equations), np.array(differences), rcond=None)[0]
     seen += shifts[:, None].astype(np.float32)
-    total = sum(float((area[both] * np.abs(seen[one] - seen[other])[both]).sum()) for one, other, both in pairs)
+    total = sum(float((area[both] * np.abs(seen[one, both] - seen[other, both])).sum()) for one, other, both in pairs)
     shared = sum(float(area[both].sum()) for _, _, both in pairs)
     return shifts, total / shared if shared else 0.0
 
