@@ -64,7 +64,9 @@ def workplace(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     predict, switch = blocks("python")
     exec(predict, {})
-    assert float(capsys.readouterr().out) > 0
+    depth, width = map(float, capsys.readouterr().out.split())
+    assert depth > 0
+    assert width > 0
     assert (workplace / "depth.png").is_file()
     names: dict[str, object] = {}
     exec(switch.replace("path/of/this/checkout", str(ROOT)), names)
