@@ -12,13 +12,11 @@ from jaxtyping import Bool, Float, Float32
 
 from zoedepth import colors
 from zoedepth.depth_map import DepthMap
-from zoedepth.errors import InputError
 from zoedepth.geometry.mesh import Mesh
 from zoedepth.geometry.panorama import (
     build_panorama_mesh,
     check_panorama,
     cut_out,
-    flying_in_panorama,
     merge,
     panorama_normals,
     panorama_points,
@@ -28,10 +26,6 @@ from zoedepth.geometry.panorama import (
 )
 from zoedepth.images import DepthArray, ImageArray, read_image, read_photo_notes, to_image
 from zoedepth.outputs import Maps, Options, write_maps
-from zoedepth.outputs.cloud import Cloud
-from zoedepth.outputs.glb import write_glb
-from zoedepth.outputs.pcd import write_pcd
-from zoedepth.outputs.ply import write_ply
 from zoedepth.predict import Predictor
 
 _TOLERATED = 1.2  # a panorama is reduced where its pixels are so many times finer than those of the views
@@ -64,11 +58,16 @@ class PanoramaMap:
         return self.distance.shape[0], self.distance.shape[1]
 
     @cached_property
+    def maps(self) -> Maps:
+        """The arrays alone, for ``outputs``."""
+        return Maps(depth=self.distance, image=self.image, depth_range=self.depth_range, panorama=True)
+
+    @property
     def valid(self) -> Bool[np.ndarray, "height width"]:
         """True where the distance can be used: it is finite, within ``depth_range``, and no flying pixel."""
-        low, high = self.depth_range
-        within = np.isfinite(self.distance) & (self.distance > low) & (self.distance <= high)
-        return within & ~flying_in_panorama(self.distance)
+        valid = self.maps.valid
+        assert valid is not None  # there is depth
+        return valid
 
     @property
     def points(self) -> Float32[np.ndarray, "height width 3"]:
@@ -94,30 +93,19 @@ class PanoramaMap:
         """Write the distances in the format of the suffix, whole or not at all, as ``DepthMap.save`` does.
 
         Files of depth (.png, .npy, .npz, .exr, .tif, .pfm) hold the distance, along the ray. .glb holds the surface all
-        around with the panorama on it, .ply and .pcd the points of the valid pixels with colours and normals.
+        around with the panorama on it, .html a page for the browser that shows it, .ply and .pcd the points of the
+        valid pixels with colours and normals.
 
         Args:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the distance exceeds 65.535 m.
-            max_triangles: triangles of a .glb, at most. None keeps all, two for each pixel.
+            max_triangles: triangles of a .glb or .html, at most. None keeps all, two for each pixel.
 
         Raises:
-            InputError: another suffix, or no pixel is valid.
+            InputError: another suffix, or there is nothing to make points or a surface of.
             MissingExtraError: a library that the format needs is not installed.
         """
-        suffix = Path(path).suffix.lower()
-        if suffix == ".glb":
-            write_glb(path, self.mesh(max_triangles=max_triangles), image=self.image)
-        elif suffix in (".ply", ".pcd"):
-            (write_ply if suffix == ".ply" else write_pcd)(path, self._cloud())
-        else:
-            maps = Maps(depth=self.distance, image=self.image, depth_range=self.depth_range)
-            write_maps(path, maps, Options(png_scale=scale))
-
-    def _cloud(self) -> Cloud:
-        if not self.valid.any():
-            raise InputError("no pixel has a distance that makes a point: look at the distances as a preview")
-        return Cloud(self.points[self.valid], self.image[self.valid], self.normals[self.valid])
+        write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
 
 
 def predict_panorama(predictor: Predictor, image: Any, *, domain: str | None = None) -> PanoramaMap:

@@ -17,15 +17,17 @@ from zoedepth.geometry.points import check_size, known_depth
 
 Focal = float | Float[np.ndarray, "rows 1"]
 
-STEEP = 3.0
+STEEP = 3.5
 """Change in depth for a step across the line of sight, both in metres, beyond which a surface is suspected to be none:
-it would be seen under less than 18 degrees, and what is at its sides would not go on so."""
+it would be seen under less than 16 degrees, and what is at its sides would not go on so."""
 
-_REACH = (4, 7, 11)  # pixels from the middle of a ramp to where it should have ended; wider ramps: see ``_FINEST``
+_REACH = (4, 7, 11)  # pixels from the middle of a ramp to where it should have ended; wider ramps: see ``_FEWEST``
 _SHARP = (2, 3)  # the same for jumps between two pixels
 _GAP = 2  # pixels on top of a thin thing, between the ramps at its sides, that are no surface of their own
 _NEAR = 5  # pixels around one of a ramp in which a surface at its depth shows that it is no flying pixel
-_FINEST = 600  # a larger picture is looked at in steps of 2, 4, ... pixels, too, while it has so many
+# A larger picture is looked at in steps of 2, 4, ... pixels, too, while it has ``_FEWEST`` along its longer side. With
+# fewer than ``_MANY``, what is within ``_REACH`` is no small part of the picture, and must be steeper to be a ramp.
+_MANY, _FEWEST, _WIDE_STEEP = 600, 300, 6.0
 _BLOCK = 1 << 18  # pixels that are worked on at once
 _DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7, 0.7), (-0.7, -0.7))
 
@@ -95,10 +97,11 @@ def find_flying(
     """Return the pixels that hang in the air, as ``flying_pixels`` does, for any kind of camera: see ``find_jumps``."""
     flying = np.zeros(depth.shape, bool)
     step = 1
-    while step == 1 or max(depth.shape) >= _FINEST * step:
+    while step == 1 or max(depth.shape) >= _FEWEST * step:
         coarse = depth[step // 2 :: step, step // 2 :: step]
         coarse_across = across[step // 2 :: step] if isinstance(across, np.ndarray) else across
-        found = _flying(coarse, coarse_across / step, along / step)
+        steep = STEEP if step == 1 or max(depth.shape) >= _MANY * step else _WIDE_STEEP
+        found = _flying(coarse, coarse_across / step, along / step, steep)
         flying |= found if step == 1 else _enlarged(found, step, depth.shape)
         step *= 2
     return flying
@@ -109,7 +112,7 @@ def _gaps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np
     gaps = np.ones((inverse.shape[0], max(0, inverse.shape[1] - 1)), bool)
     for some in _blocks(inverse.shape):
         values = np.ascontiguousarray(inverse[some])
-        rises, falls = _steep(values, _of_rows(focal, some), _SHARP)
+        rises, falls = _steep(values, _of_rows(focal, some), _SHARP, STEEP)
         before, after = values[:, :-1], values[:, 1:]
         with np.errstate(invalid="ignore", divide="ignore"):
             near = 1 / np.maximum(before, after)
@@ -118,11 +121,13 @@ def _gaps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np
     return gaps
 
 
-def _flying(depth: Float[np.ndarray, "height width"], across: Focal, along: float) -> Bool[np.ndarray, "height width"]:
+def _flying(
+    depth: Float[np.ndarray, "height width"], across: Focal, along: float, steep: float
+) -> Bool[np.ndarray, "height width"]:
     """Return the flying pixels in ramps of a few pixels."""
     inverse = inverse_depth(depth)
-    ramp = _ramps(inverse, across)
-    ramp |= _ramps(inverse.T, along).T
+    ramp = _ramps(inverse, across, steep)
+    ramp |= _ramps(inverse.T, along, steep).T
     surface = ~ramp & ~np.isnan(inverse)
     row, column = np.nonzero(ramp)
     z = depth[row, column]
@@ -142,30 +147,33 @@ def _flying(depth: Float[np.ndarray, "height width"], across: Focal, along: floa
     return flying
 
 
-def _ramps(inverse: Float32[np.ndarray, "rows columns"], focal: Focal) -> Bool[np.ndarray, "rows columns"]:
+def _ramps(
+    inverse: Float32[np.ndarray, "rows columns"], focal: Focal, steep: float
+) -> Bool[np.ndarray, "rows columns"]:
     """Return the pixels that lie in the midst of a ramp along their row."""
     ramp = np.zeros(inverse.shape, bool)
     if inverse.shape[1] < 2:
         return ramp
     for some in _blocks(inverse.shape):
-        rises, falls = _steep(np.ascontiguousarray(inverse[some]), _of_rows(focal, some), _REACH)
-        steep = _filled(_of_two(rises) | _of_two(falls))
-        ramp[some, 1:-1] = steep[:, 1:] & steep[:, :-1]
-        ramp[some, :1], ramp[some, -1:] = steep[:, :1], steep[:, -1:]
+        rises, falls = _steep(np.ascontiguousarray(inverse[some]), _of_rows(focal, some), _REACH, steep)
+        gaps = _filled(_of_two(rises) | _of_two(falls))
+        ramp[some, 1:-1] = gaps[:, 1:] & gaps[:, :-1]
+        ramp[some, :1], ramp[some, -1:] = gaps[:, :1], gaps[:, -1:]
     return ramp
 
 
 def _steep(
-    inverse: Float32[np.ndarray, "rows columns"], focal: Focal, reach: tuple[int, ...]
+    inverse: Float32[np.ndarray, "rows columns"], focal: Focal, reach: tuple[int, ...], steep: float
 ) -> tuple[Bool[np.ndarray, "rows gaps"], Bool[np.ndarray, "rows gaps"]]:
     """Return where the inverse depth (rises, falls) steeply between neighbours of a row, other than at both sides.
 
     Args:
         focal: focal length along the rows, pixels.
         reach: distances in pixels at which the sides are looked at; it is enough if one finds the difference.
+        steep: see ``STEEP``.
     """
     steps = np.diff(inverse, axis=1)
-    least = np.minimum(inverse[:, 1:], inverse[:, :-1]) * np.asarray(STEEP / focal, np.float32)
+    least = np.minimum(inverse[:, 1:], inverse[:, :-1]) * np.asarray(steep / focal, np.float32)
     n, margin = steps.shape[1], max(reach)
     rises, falls = np.zeros(steps.shape, bool), np.zeros(steps.shape, bool)
     if not n:

@@ -32,7 +32,7 @@ RINGS = ((0.0, 8), (50.0, 6), (-50.0, 6), (90.0, 1), (-90.0, 1))
 _MARGIN = (
     24  # columns repeated beyond both borders, where a search for jumps looks at neighbours; more where it is wide
 )
-_WIDE = 600
+_WIDE = 300
 _COMPARED = 128  # rows of the panorama at which overlapping views are compared
 _FEW = 20  # pixels that two views must share to be compared
 _SHARPNESS = 2  # of the borders between views in the blend

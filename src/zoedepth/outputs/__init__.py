@@ -12,6 +12,7 @@ from zoedepth.outputs.color import COLOR
 from zoedepth.outputs.depth import DEPTH
 from zoedepth.outputs.exr import EXR
 from zoedepth.outputs.glb import GLB
+from zoedepth.outputs.html import HTML
 from zoedepth.outputs.npy import NPY
 from zoedepth.outputs.npz import NPZ
 from zoedepth.outputs.output import Maps, Options, Output, Written
@@ -37,6 +38,7 @@ OUTPUTS: dict[str, Output] = {
     "ply": PLY,
     "pcd": PCD,
     "glb": GLB,
+    "html": HTML,
 }
 
 

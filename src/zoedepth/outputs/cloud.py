@@ -8,7 +8,7 @@ from jaxtyping import Float32, UInt8
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.normals import estimate_normals
-from zoedepth.geometry.panorama import panorama_points
+from zoedepth.geometry.panorama import panorama_normals, panorama_points
 from zoedepth.geometry.points import unproject
 from zoedepth.outputs.output import Maps, needed
 
@@ -29,8 +29,6 @@ class Cloud(NamedTuple):
 def cloud_of(maps: Maps) -> Cloud:
     """Return the point of each valid pixel, row by row, with its normal, and its colour where there is a photo.
 
-    The points of a panorama have no normals.
-
     Raises:
         InputError: there is no depth or no camera, or no pixel is valid.
     """
@@ -39,10 +37,10 @@ def cloud_of(maps: Maps) -> Cloud:
     if not taken.any():
         raise InputError("no pixel has a depth that makes a point: look at the depth as a preview")
     colors = None if maps.image is None else maps.image[taken]
+    used = np.where(taken, depth, np.float32(np.nan))
     if camera is None:
-        return Cloud(panorama_points(depth)[taken], colors)
-    normals = estimate_normals(np.where(taken, depth, np.float32(np.nan)), camera)[taken]
-    return Cloud(unproject(depth, camera)[taken], colors, normals)
+        return Cloud(panorama_points(depth)[taken], colors, panorama_normals(used)[taken])
+    return Cloud(unproject(depth, camera)[taken], colors, estimate_normals(used, camera)[taken])
 
 
 def describe_camera(camera: Camera) -> str:

@@ -143,10 +143,8 @@ def _camera(camera: Camera) -> dict[str, object]:
     return {"type": "perspective", "perspective": view}
 
 
-def _about(camera: Camera | None) -> dict[str, object]:
+def _about(camera: Camera) -> dict[str, object]:
     """Return what glTF's camera cannot say."""
-    if camera is None:
-        return {"panorama": True}
     return {"intrinsics": camera.matrix.tolist(), "size": list(camera.size), "cameraSource": camera.source}
 
 
