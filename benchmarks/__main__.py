@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import depthwise, inference, linear, peers, startup, synthetic
+from benchmarks import depthwise, inference, linear, outputs, peers, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
@@ -11,6 +11,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "depthwise": depthwise.main,
     "linear": linear.main,
     "synthetic": synthetic.main,
+    "outputs": outputs.main,
     "peers": peers.main,
 }
 
