@@ -41,6 +41,9 @@ class OriginalInterface(nn.Module):
     Four things differ: each photo of a batch takes its own head, 16-bit values are clipped and do not wrap around,
     ``forward`` returns the relative depth that it promises, and the model is in evaluation mode.
 
+    The original knows no cameras, and depth is that of the training photos' camera here. Use ``Predictor`` for models
+    that were trained in one canonical camera.
+
     Args:
         model: any ZoeDepth with metric heads; ``.model`` afterwards.
     """
