@@ -126,6 +126,19 @@ def test_photo_is_reduced_to_what_browsers_show(tmp_path: Path) -> None:
         assert texture.size == (MAX_TEXTURE, 20)
 
 
+def test_mesh_that_is_too_large_for_the_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A part that says it is larger stands for 4 GiB."""
+
+    class Large(bytes):
+        def __len__(self) -> int:
+            return 1 << 32
+
+    monkeypatch.setattr("zoedepth.outputs.glb._jpeg", lambda image: Large())
+    with pytest.raises(InputError, match="less than 4 GiB"):
+        write_glb(tmp_path / "a.glb", PLANE, image=IMAGE)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_needs_a_surface_and_a_camera(tmp_path: Path) -> None:
     pixel = Maps(depth=np.ones((1, 1), np.float32), camera=Camera.from_focal(1.0, (1, 1)))
     for maps, word in ((pixel, "no surface"), (Maps(depth=np.ones(SIZE, np.float32)), "'camera'")):

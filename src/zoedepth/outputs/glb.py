@@ -7,6 +7,7 @@ quality 75, and has no material that shows a photo in its own light.
 import json
 import math
 from io import BytesIO
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -44,67 +45,72 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
         image: the photo, RGB, of any size: the texture; reduced to ``MAX_TEXTURE`` pixels where it is larger.
 
     Raises:
-        InputError: the mesh has no triangle.
+        InputError: the mesh has no triangle, or takes 4 GiB and more.
     """
     if not len(mesh.faces):
         raise InputError("the depth makes no surface, for no two neighbouring pixels see the same one: save its points")
-    vertices = mesh.vertices * _GLTF_AXES
     arrays = {
         "indices": mesh.faces.astype("<u4").reshape(-1),
-        "POSITION": vertices.astype("<f4"),
+        "POSITION": (mesh.vertices * _GLTF_AXES).astype("<f4"),
         "NORMAL": (_unit_normals(mesh) * _GLTF_AXES).astype("<f4"),
         "TEXCOORD_0": mesh.uv.astype("<f4"),
     }
-    parts = [np.ascontiguousarray(values).tobytes() for values in arrays.values()]
-    if image is not None:
-        parts.append(_jpeg(image))
-    views, place = [], 0
-    for number, part in enumerate(parts):
-        target = {} if number >= len(arrays) else {"target": _VERTICES if number else _INDICES}
-        views.append({"buffer": 0, "byteOffset": place, "byteLength": len(part), **target})
-        place += _padded(len(part))
-    accessors = [
-        {
-            "bufferView": number,
-            "componentType": _FLOAT32 if values.ndim > 1 else _UINT32,
-            "count": len(values),
-            "type": f"VEC{values.shape[1]}" if values.ndim > 1 else "SCALAR",
-        }
-        for number, values in enumerate(arrays.values())
-    ]
-    accessors[1] |= {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
     document: dict[str, Any] = {
         "asset": {"generator": OWN_MARK, "version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"name": "surface", "mesh": 0}],
-        "meshes": [{"name": "surface", "primitives": [_primitive(list(arrays)[1:])]}],
+        "meshes": [{"name": "surface", "primitives": [_primitive(list(arrays))]}],
         "materials": [_material(textured=image is not None)],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": place}],
+        "accessors": [_accessor(number, *named) for number, named in enumerate(arrays.items())],
     }
     if mesh.camera is not None:
         document["asset"]["extras"] = _about(mesh.camera)
         document["scenes"][0]["nodes"].append(1)
         document["nodes"].append({"name": "camera of the photo", "camera": 0})
         document["cameras"] = [_camera(mesh.camera)]
+    parts = [np.ascontiguousarray(values).tobytes() for values in arrays.values()]
     if image is not None:
         around = _REPEAT if mesh.camera is None else _CLAMP
         document |= {
             "extensionsUsed": ["KHR_materials_unlit"],
-            "images": [{"bufferView": len(arrays), "mimeType": "image/jpeg"}],
+            "images": [{"bufferView": len(parts), "mimeType": "image/jpeg"}],
             "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP, "wrapS": around, "wrapT": _CLAMP}],
             "textures": [{"source": 0, "sampler": 0}],
         }
+        parts.append(_jpeg(image))
+    _write_container(path, document, parts, targets=[_INDICES, _VERTICES, _VERTICES, _VERTICES])
+
+
+def _write_container(path: str | Path, document: dict[str, Any], parts: list[bytes], *, targets: list[int]) -> None:
+    """Write the JSON and the binary part of a GLB.
+
+    Args:
+        path: where to write.
+        document: the JSON without the places of the parts, which are added.
+        parts: what its bufferViews show, in their order.
+        targets: what the first of them are for, as glTF numbers it.
+
+    Raises:
+        InputError: they are too large for the format.
+    """
+    views, place = [], 0
+    for part, target in zip_longest(parts, targets):
+        view = {"buffer": 0, "byteOffset": place, "byteLength": len(part)}
+        views.append(view if target is None else {**view, "target": target})
+        place += _padded(len(part))
+    document = {**document, "bufferViews": views, "buffers": [{"byteLength": place}]}
     text = json.dumps(document, separators=(",", ":")).encode("ascii")
     text += b" " * (_padded(len(text)) - len(text))
     total = 12 + 8 + len(text) + 8 + place
+    if total >= 1 << 32:
+        raise InputError(f"a GLB has less than 4 GiB, and this mesh takes {total:,} bytes: give --max-triangles")
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         file.write(b"glTF" + np.array([2, total, len(text)], "<u4").tobytes() + b"JSON" + text)
         file.write(np.array([place], "<u4").tobytes() + b"BIN\0")
         for part in parts:
-            file.write(part + bytes(_padded(len(part)) - len(part)))
+            file.write(part)
+            file.write(bytes(_padded(len(part)) - len(part)))
 
 
 def _unit_normals(mesh: Mesh) -> Float32[np.ndarray, "vertices 3"]:
@@ -120,8 +126,22 @@ def _padded(n_bytes: int) -> int:
 
 
 def _primitive(names: list[str]) -> dict[str, object]:
-    attributes = {name: number for number, name in enumerate(names, start=1)}
+    """Return what the triangles are made of: the arrays of these names, of which the first is the indices."""
+    attributes = {name: number for number, name in enumerate(names) if number}
     return {"attributes": attributes, "indices": 0, "material": 0}
+
+
+def _accessor(number: int, name: str, values: np.ndarray) -> dict[str, object]:
+    """Return the type of an array: numbers of it as it is, or vectors. Places have their bounds, as glTF demands."""
+    vectors = values.ndim > 1
+    bounds = {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()} if name == "POSITION" else {}
+    return {
+        "bufferView": number,
+        "componentType": _FLOAT32 if vectors else _UINT32,
+        "count": len(values),
+        "type": f"VEC{values.shape[1]}" if vectors else "SCALAR",
+        **bounds,
+    }
 
 
 def _material(*, textured: bool) -> dict[str, object]:
