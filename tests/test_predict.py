@@ -422,7 +422,7 @@ def test_padding_makes_the_focal_length_shorter() -> None:
     photo, camera = smooth((64, 96)), Camera.from_focal(100.0, (64, 96))
     model = Brightness(focal_px=FOCAL_PX)
     padded = Predictor(model, pad=True)(photo, camera=camera).focal_correction
-    expected = 100 / FOCAL_PX * math.sqrt(64 / (64 + 2 * 16) * 96 / (96 + 2 * 20))  # 3 sqrt(side / 2)
+    expected = 100 / FOCAL_PX * 64 / (64 + 2 * 16)  # 3 sqrt(64 / 2)
     assert padded == pytest.approx(expected)
 
 

@@ -110,13 +110,12 @@ def test_sizes_and_depth_ranges(name: str, size: tuple[int, int], domains: list[
 @pytest.mark.parametrize(
     ("name", "focal_px"),
     [
-        # 256 x 352 of NYU's 480 x 640: 518.86 * 0.55 = 285.4 and 519.47 * 0.5333 = 277.1; KITTI: see below.
-        ("zoed-lite", {"indoor": 281.18, "outdoor": 528.2}),
-        ("zoed-m12-n", {"indoor": 415.33}),
-        # 352 x 1216 become 384 x 1312: 721.54 * 1312 / 1216 = 778.5 and 721.54 * 384 / 352 = 787.1.
-        ("zoed-m12-k", {"outdoor": 782.8}),
-        ("zoed-m12-nk", {"indoor": 415.33, "outdoor": 782.8}),
-        ("zoed-m12-n-swin2-t", {"indoor": 239.79}),
+        # 519.4696 pixels in 480 rows of NYU, 721.5377 in 352 of KITTI; the network sees 256, 384 or 256 rows.
+        ("zoed-lite", {"indoor": 277.05, "outdoor": 524.75}),
+        ("zoed-m12-n", {"indoor": 415.58}),
+        ("zoed-m12-k", {"outdoor": 787.13}),
+        ("zoed-m12-nk", {"indoor": 415.58, "outdoor": 787.13}),
+        ("zoed-m12-n-swin2-t", {"indoor": 277.05}),
         ("zoed-m12-nk-one-head", {"any": None}),
     ],
 )

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, cast
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -17,9 +17,9 @@ from torch import Tensor
 from zoedepth.config import Domain, ModelConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
-from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.choice import CameraChoice, CameraChoices, check_choice, choice_for_each, known_without_notes
 from zoedepth.geometry.exif import read_exif_camera
-from zoedepth.geometry.lens import KnownCamera, Lens, camera_of
 from zoedepth.images import DepthArray, ImageArray, to_image, to_image_with_notes
 from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.pixels import check_pixels, reflect_pad, resize_pixels
@@ -30,15 +30,6 @@ MAX_NETWORK_AREA = 16
 
 ASSUMED_FOV_X = 60.0
 """Degrees from left to right that a photo is assumed to have where neither it nor the model's config says anything."""
-
-CameraChoice: TypeAlias = KnownCamera | Literal["exif", "none"]
-"""The camera of a photo: what somebody knows of it; or "exif", what the photo's own notes tell; or "none"."""
-
-
-CameraChoices: TypeAlias = CameraChoice | Sequence[CameraChoice | None] | None
-"""One for all photos, or a list with one for each. None: that of the predictor."""
-
-_WORDS = ("exif", "none")
 
 
 class _Photo(NamedTuple):
@@ -101,7 +92,7 @@ class Predictor:
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
         if precision not in ("float32", "bfloat16"):
             raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
-        _check_choice(camera)
+        check_choice(camera)
         unknown = [domain.name for domain in model.config.domains if domain.focal_px is None]
         if focal_correction and unknown:
             raise InputError(
@@ -175,7 +166,7 @@ class Predictor:
         if batch_size < 1:
             raise InputError(f"batch_size must be 1 or more, got {batch_size}")
         head = None if domain is None else self.domain_index(domain)
-        cameras = _one_each(camera, len(images))
+        cameras = choice_for_each(camera, len(images))
         photos = [self._photo(image, choice) for image, choice in zip(images, cameras, strict=True)]
         if self._one_by_one:
             return self._side_by_side(photos, head, workers=batch_size)
@@ -217,7 +208,10 @@ class Predictor:
         self._check_mode()
         size = (pixels.shape[2], pixels.shape[3])
         network_size = self.network_size(size)
-        cameras = [self._known(choice, size) for choice in _one_each(camera, len(pixels))]
+        choices: list[CameraChoice] = [
+            self.camera if each is None else each for each in choice_for_each(camera, len(pixels))
+        ]
+        cameras = [known_without_notes(choice, size) for choice in choices]
         output = self._run(self._to_network(pixels.to(self.device).float(), network_size), domain)
         depth = self._from_network(output.depth, size, mode=self.upsampling)
         heads = [self.model.config.domains[head] for head in output.domain.tolist()]
@@ -287,14 +281,8 @@ class Predictor:
             camera, note = known.camera, known.reason
         else:
             photo = to_image(image)
-            camera = self._known(choice, _size(photo))
+            camera = known_without_notes(choice, _size(photo))
         return _Photo(photo, self.network_size(_size(photo)), camera, note)
-
-    def _known(self, choice: CameraChoice | None, size: tuple[int, int]) -> Camera | None:
-        """Return the camera of a photo of ``size`` without notes; None where nobody knows it."""
-        choice = self.camera if choice is None else choice
-        _check_choice(choice)
-        return None if isinstance(choice, str) else camera_of(choice, size)
 
     def _assumed(self, size: tuple[int, int], domain: Domain, network_size: tuple[int, int]) -> Camera:
         """Return the camera that a photo of ``size`` is taken to have: that of the training photos, if it is known."""
@@ -314,9 +302,8 @@ class Predictor:
 
     def _focal_in_network(self, camera: Camera, network_size: tuple[int, int]) -> float:
         """Return the focal length that a photo has as the network sees it, in pixels of the network's input."""
-        vertical, horizontal = self._padding(camera.size)
-        padded_size = (camera.size[0] + 2 * vertical, camera.size[1] + 2 * horizontal)
-        return network_focal((camera.fx, camera.fy), padded_size, network_size)
+        height = camera.size[0] + 2 * self._padding(camera.size)[0]
+        return network_focal(camera.fy, height, network_size[0])
 
     @torch.inference_mode()
     def _predict(self, photos: list[_Photo], head: int | None) -> list[DepthMap]:
@@ -490,24 +477,6 @@ def _mirror_mean(straight: DepthOutput, mirrored: DepthOutput, *, domain: Int[Te
 
 def _size(photo: ImageArray) -> tuple[int, int]:
     return photo.shape[0], photo.shape[1]
-
-
-def _one_each(camera: CameraChoices, number: int) -> Sequence[CameraChoice | None]:
-    """Return a list with the camera of each photo, given one for all or such a list."""
-    if isinstance(camera, str) or not isinstance(camera, Sequence):
-        one = cast("CameraChoice | None", camera)  # a word is a sequence, too, for type checkers
-        return [one for _ in range(number)]
-    if len(camera) != number:
-        raise InputError(f"there are {number} photos and {len(camera)} cameras: give a list with one camera for each")
-    return camera
-
-
-def _check_choice(camera: CameraChoice) -> None:
-    if not (isinstance(camera, Camera | Intrinsics | Lens) or (isinstance(camera, str) and camera in _WORDS)):
-        raise InputError(
-            f"camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none', got {camera!r}. Camera.from_matrix makes "
-            "one of a 3 x 3 matrix"
-        )
 
 
 def _to_array(x: Float[Tensor, "1 1 height width"]) -> DepthArray:

@@ -28,11 +28,11 @@ from zoedepth.config.heads import HEAD_CONFIGS
 from zoedepth.errors import InputError, no_such
 from zoedepth.sizes import network_focal, network_size
 
-TRAINING_CAMERAS: dict[str, tuple[tuple[float, float], tuple[int, int]]] = {
-    "indoor": ((518.8579, 519.4696), (480, 640)),
-    "outdoor": ((721.5377, 721.5377), (352, 1216)),
+TRAINING_CAMERAS: dict[str, tuple[float, tuple[int, int]]] = {
+    "indoor": (519.4696, (480, 640)),
+    "outdoor": (721.5377, (352, 1216)),
 }
-"""Domain → ((fx, fy), (height, width)), pixels, of the photos that the paper's models learn its metres from: those of
+"""Domain → fy and (height, width), pixels, of the photos that the paper's models learn its metres from: those of
 NYU Depth v2, and those of KITTI (its most frequent camera) after the KB crop."""
 
 
@@ -46,16 +46,16 @@ def in_training_cameras(config: ModelConfig) -> ModelConfig:
     return replace(config, domains=tuple(replace(each, focal_px=focal.get(each.name)) for each in config.domains))
 
 
-def focal_in_network(config: AnyModelConfig, focal_px: tuple[float, float], size: tuple[int, int]) -> float:
+def focal_in_network(config: AnyModelConfig, focal_px: float, size: tuple[int, int]) -> float:
     """Return the focal length of a photo as the network of a config sees it, in pixels of its input, without padding.
 
     Args:
         config: the config of the model.
-        focal_px: (fx, fy), pixels of the photo.
+        focal_px: fy, pixels of the photo.
         size: (height, width) of the photo.
     """
     network = network_size(size, config.size, multiple=config.multiple, keep_aspect_ratio=config.keep_aspect_ratio)
-    return network_focal(focal_px, size, network)
+    return network_focal(focal_px, size[0], network[0])
 
 
 def with_focal_of_size(config: ModelConfig, before: ModelConfig) -> ModelConfig:

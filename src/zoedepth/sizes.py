@@ -1,7 +1,5 @@
 """The size at which the network sees a photo, and the focal length that the photo then has."""
 
-import math
-
 
 def network_size(
     size: tuple[int, int], target: tuple[int, int], *, multiple: int = 32, keep_aspect_ratio: bool = True
@@ -26,15 +24,15 @@ def network_size(
     return height, width
 
 
-def network_focal(focal_px: tuple[float, float], size: tuple[int, int], network: tuple[int, int]) -> float:
+def network_focal(focal_px: float, height: int, network_height: int) -> float:
     """Return the focal length of a photo as the network sees it, in pixels of the network's input.
 
-    One number stands for both axes, the geometric mean: rounding to multiples, and squeezing, stretch a photo a little
-    more along one axis than along the other.
+    It is the vertical one. Where photos are squeezed, depth follows their height, not their width: docs/results.md,
+    "Which of the two focal lengths counts".
 
     Args:
-        focal_px: (fx, fy), pixels of the photo.
-        size: (height, width) of the photo, with its padding if it gets any: padding makes things look smaller, too.
-        network: (height, width) to which the padded photo is resized.
+        focal_px: fy, pixels of the photo.
+        height: rows of the photo, with its padding if it gets any: padding makes things look smaller, too.
+        network_height: rows to which the padded photo is resized.
     """
-    return math.sqrt(focal_px[0] * network[1] / size[1] * focal_px[1] * network[0] / size[0])
+    return focal_px * network_height / height

@@ -271,6 +271,46 @@ class TestSources:
         assert [record["router"] for record in records] == [1.0, 0.0]
 
 
+class TestCamera:
+    @pytest.fixture
+    def one_lens(self, model: Path, tmp_path: Path) -> Path:
+        """Return the file of the model, which learned from photos with focal lengths of 80 pixels."""
+        loaded = load_model(model)
+        domains = tuple(replace(each, focal_px=80.0) for each in loaded.config.domains)
+        loaded.config = replace(loaded.config, domains=domains)
+        save_model(loaded, tmp_path / "lens.safetensors")
+        return tmp_path / "lens.safetensors"
+
+    def test_of_the_data_is_told_where_it_is_wanted(self, one_lens: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, size=(64, 64), split="test", focal_px=(40.0, 160.0))
+        (told,) = run(capsys, "--model", one_lens, "--data", path, "--camera", "data")
+        (plain,) = run(capsys, "--model", one_lens, "--data", path)
+        assert (told["camera"], plain["camera"]) == ("data", "none")
+        for record in (told, plain):
+            source = ModelSource(load_model(one_lens), camera=record["camera"])
+            assert metrics_of(record) == pytest.approx(expected(source, path, INDOOR))
+        assert told["rel"] != pytest.approx(plain["rel"])
+
+    def test_is_part_of_what_scores_belong_to_and_of_the_report(self, one_lens: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, size=(64, 64), split="test", focal_px=(40.0,))
+        out = tmp_path / "out"
+        arguments = ("--model", f"lens={one_lens}", "--data", f"rooms={path}", "--out", out, "--no-pictures")
+        run(capsys, *arguments, "--camera", "data")
+        assert "| lens (camera of the data) |" in (out / "report.md").read_text()
+        assert json.loads((out / "report.json").read_text())["results"][0]["camera"] == "data"
+        assert "camera was 'data' and is None" in error(capsys, *arguments)
+
+    def test_that_is_not_known_is_said(self, one_lens: Path, model: Path, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=1, size=(64, 64), split="test")
+        assert main(["evaluate", "--model", str(one_lens), "--data", str(path), "--camera", "data"]) == 1
+        assert "the data says no camera for image/test_000.jpg" in capsys.readouterr().err
+        said = error(capsys, "--model", model, "--data", path, "--camera", "data")
+        assert "with what focal length it was trained" in said
+        theirs = write_predictions(tmp_path / "theirs", path)
+        said = error(capsys, "--predictions", theirs, "--data", path, "--camera", "data")
+        assert "--camera data is for models, and none is scored" in said
+
+
 class TestOutput:
     def test_json_is_one_object_with_metrics_and_counts(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))

@@ -32,6 +32,7 @@ from zoedepth.evaluation.predictions import (
     trivial_sources,
 )
 from zoedepth.evaluation.protocols import OUTDOOR, PLAIN, Protocol
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
@@ -175,6 +176,61 @@ def test_antialiased_model_sees_fine_stripes_as_grey(tiny_config: ModelConfig) -
         return float(np.abs(seen[1] / seen[0] - 1).mean())
 
     assert difference(smooth) < 0.2 * difference(sharp)
+
+
+# ---------------------------------------------------------------------------------------------------- cameras
+
+
+@pytest.fixture
+def one_lens(tiny_config: ModelConfig) -> ZoeDepth:
+    """Make a model of one domain that has learned metres from photos with a focal length of 80 pixels."""
+    torch.manual_seed(0)
+    return ZoeDepth(replace(tiny_config, domains=(replace(tiny_config.domains[0], focal_px=80.0),))).eval()
+
+
+def with_lens(sample: Sample, focal_px: float) -> Sample:
+    height, width = sample.image.shape[-2:]
+    return replace(sample, camera=Intrinsics(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2))
+
+
+@pytest.mark.parametrize(
+    ("size", "protocol", "factor"),
+    [
+        ((64, 64), EVERYWHERE, 120 / 80),
+        ((128, 128), EVERYWHERE, 60 / 80),  # seen at 64 x 64
+        ((64, 64), replace(EVERYWHERE, photo_size=(32, 64)), 60 / 80),  # squeezed to half its height
+        # Cut to 352 x 1216, then squeezed to 64 x 64: the height counts.
+        ((375, 1242), replace(EVERYWHERE, kitti_crop=True, resize="squeeze"), 120 * 64 / 352 / 80),
+    ],
+    ids=["as it is", "resized", "squeezed by the protocol", "cropped and squeezed"],
+)
+def test_camera_of_the_data_corrects_depth_by_the_focal_length(
+    one_lens: ZoeDepth, size: tuple[int, int], protocol: Protocol, factor: float
+) -> None:
+    sample = with_lens(photo(size), 120.0)
+    told, shown = predict(ModelSource(one_lens, camera="data"), sample, protocol)
+    plain, _ = predict(ModelSource(one_lens), sample, protocol)
+    np.testing.assert_allclose(told.depth, plain.depth * factor, rtol=1e-5)
+    np.testing.assert_allclose(told.std, plain.std * factor, rtol=1e-5)
+    assert shown.camera is not None
+    # Told nothing, even a model in one camera corrects nothing.
+    canonical = ZoeDepth(replace(one_lens.config, canonical_camera=True)).eval()
+    canonical.load_state_dict(one_lens.state_dict())
+    np.testing.assert_array_equal(predict(ModelSource(canonical), sample, protocol)[0].depth, plain.depth)
+    np.testing.assert_array_equal(predict(ModelSource(canonical, camera="data"), sample, protocol)[0].depth, told.depth)
+
+
+def test_camera_that_nobody_says_is_an_error(one_lens: ZoeDepth, tiny_model: ZoeDepth) -> None:
+    with pytest.raises(InputError, match=r"the data says no camera for photo\.jpg.* --camera none"):
+        ModelSource(one_lens, camera="data").predict(photo((64, 64)), EVERYWHERE)
+    with pytest.raises(InputError, match="with what focal length it was trained for indoor, outdoor"):
+        ModelSource(tiny_model, camera="data")
+
+
+def test_scores_belong_to_what_the_model_was_told(one_lens: ZoeDepth) -> None:
+    about = {"model": "some"}
+    assert ModelSource(one_lens, about=about).about == about
+    assert ModelSource(one_lens, about=about, camera="data").about == {"model": "some", "camera": "data"}
 
 
 # ---------------------------------------------------------------------------------------------------- files

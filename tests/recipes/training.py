@@ -23,7 +23,7 @@ from zoedepth.train.relative import train_relative
 from zoedepth.weights.load import load_model
 
 TRAINED = {
-    "zoed_lite": ("zoed_lite_relative", "zoed_lite"),
+    "zoed_lite": ("zoed_lite_relative", "zoed_lite", "zoed_lite_canonical"),
     "demo": ("demo_relative", "demo"),
     "relative": ("relative_m12", "relative_n"),
     "metric": (
@@ -50,7 +50,8 @@ def take_a_step(name: str, tiny: ModelConfig, folder: Path) -> None:
         else:
             domain = {"outdoor": "outdoor", "kitti": "outdoor"}.get(source.name, "indoor")
             size = (375, 1242) if source.kitti_crop else (48, 64)
-            data[source.name] = write_pairs(folder / source.name, n=1, size=size, domain=domain)
+            lenses = (50.0,) if config.model.canonical_camera else ()
+            data[source.name] = write_pairs(folder / source.name, n=1, size=size, domain=domain, focal_px=lenses)
     train = train_relative if config.stage == "relative" else train_metric
     last = train(config, data=data, out=folder / "out", init=None)
     assert last.name == "step_000001"
@@ -107,6 +108,7 @@ def aspects(recipe: TrainConfig) -> set[tuple]:
         ("optimizer", recipe.optim.optimizer, recipe.optim.schedule),
         ("mixture", recipe.mix_by, len(recipe.sources) > 1, frozenset(source.crop for source in recipe.sources)),
         ("loop", loop),
+        ("camera", recipe.stage == "metric" and model.canonical_camera),
     }
 
 

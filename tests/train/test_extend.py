@@ -7,7 +7,7 @@ import torch
 
 from zoedepth.config import INDOOR, OUTDOOR, Domain, RouterConfig
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.train.extend import extended, extended_config
+from zoedepth.train.extend import extended, extended_config, head_of, origin_of
 
 
 def pixels() -> torch.Tensor:
@@ -40,6 +40,22 @@ def test_new_domain_gets_a_head_of_its_own_at_the_end(tiny_config):
 def test_model_of_one_domain_keeps_its_one_head(tiny_config):
     config = extended_config(replace(tiny_config, domains=(INDOOR,)), {"warehouse": 27.0})
     assert config.domains == (replace(INDOOR, max_depth=30.0),)
+
+
+def test_heads_that_learn_get_the_focal_length_of_the_data(tiny_config):
+    config = replace(tiny_config, domains=tuple(replace(each, focal_px=80.0) for each in tiny_config.domains))
+    found = extended_config(config, {"warehouse": 27.0, "indoor": 3.0}, focal_px={"warehouse": 50.0})
+    assert [domain.focal_px for domain in found.domains] == [None, 80.0, 50.0]
+    assert extended_config(config, {"indoor": 3.0}) == config
+
+
+def test_a_domain_starts_from_the_head_of_its_name_or_of_the_nearest_range(tiny_config):
+    assert origin_of(tiny_config, "indoor", 500.0) == INDOOR
+    assert origin_of(tiny_config, "warehouse", 27.0) == OUTDOOR
+    assert origin_of(tiny_config, "doll's house", 0.5) == INDOOR
+    one = replace(tiny_config, domains=(OUTDOOR,))
+    assert (origin_of(one, "warehouse", 5.0), head_of(one, "warehouse")) == (OUTDOOR, "outdoor")
+    assert head_of(tiny_config, "warehouse") == "warehouse"
 
 
 @pytest.mark.parametrize("classifier", ["mlp", "transformer"])

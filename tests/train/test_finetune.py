@@ -12,11 +12,16 @@ from PIL import Image
 from tests.folders import write_pairs
 from tests.train.runs import write_sparse
 from torch import nn
+from torch.utils.data import Subset
 
 from zoedepth.cli import main
 from zoedepth.commands.train import _described
 from zoedepth.config import EncoderConfig, ModelConfig
+from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
+from zoedepth.evaluation.dataset_scores import score_dataset
+from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.evaluation.protocols import INDOOR
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.provenance import Provenance
 from zoedepth.train import finetune as module
@@ -127,6 +132,69 @@ def test_models_that_cannot_be_fine_tuned_are_errors(
 def test_too_few_pairs_are_an_error(planned, tmp_path: Path):
     with pytest.raises(InputError, match="a holdout of 1 leaves none"):
         planned({"rooms": write_pairs(tmp_path / "rooms", n=1)})
+
+
+# ---------------------------------------------------------------------------------------------------- cameras
+
+
+def in_one_camera(tiny_model: ZoeDepth, tmp_path: Path, *, canonical: bool = True) -> str:
+    """Save a model whose metres are those of one camera: 50 pixels indoors and 100 outdoors, at 64 x 64."""
+    config = tiny_model.config
+    domains = tuple(
+        dataclasses.replace(each, focal_px=focal) for each, focal in zip(config.domains, (50.0, 100.0), strict=True)
+    )
+    model = ZoeDepth(dataclasses.replace(config, domains=domains, canonical_camera=canonical))
+    model.load_state_dict(tiny_model.state_dict())
+    save_model(model, tmp_path / "camera.safetensors")
+    return str(tmp_path / "camera.safetensors")
+
+
+def test_model_learns_the_lens_of_the_data_unless_it_is_in_one_camera(planned, tiny_model: ZoeDepth, tmp_path: Path):
+    """Photos of 64 x 64, as the network sees them; the median of 40, 60 and 90 pixels is 60."""
+    init = in_one_camera(tiny_model, tmp_path, canonical=False)
+    known = write_pairs(tmp_path / "known", n=3, size=(64, 64), focal_px=(40.0, 90.0, 60.0))
+    config = planned({"known": known}, init=init).config
+    assert [domain.focal_px for domain in config.model.domains] == [60.0, 100.0]
+    assert not config.model.canonical_camera
+    some = write_pairs(tmp_path / "some", n=3, size=(64, 64), focal_px=(40.0, 60.0))
+    config = planned({"known": known, "some": some}, init=init).config
+    assert [domain.focal_px for domain in config.model.domains] == [None, 100.0], "one lens is unknown"
+    assert {source.without_camera for source in config.sources} == {"refuse"}
+
+
+def test_depth_is_scaled_where_the_model_is_in_one_camera(planned, tiny_model: ZoeDepth, tmp_path: Path):
+    init = in_one_camera(tiny_model, tmp_path)
+    # Up to 5 m through a lens of 10 pixels: 25 m of the camera of 50 pixels. The halls start from the indoor head.
+    wide = write_pairs(tmp_path / "wide", n=3, size=(64, 64), focal_px=(10.0, 20.0, 10.0))
+    halls = write_pairs(tmp_path / "halls", n=3, size=(64, 64), focal_px=(25.0,) * 3)
+    halls.write_text(halls.read_text().replace(",indoor", ",hall"))
+    bare = write_pairs(tmp_path / "bare", n=3, size=(64, 64), domain="outdoor")
+    chosen = planned({"wide": wide, "halls": halls, "bare": bare}, init=init)
+    assert [(each.name, each.max_depth, each.focal_px) for each in chosen.config.model.domains] == [
+        ("indoor", 30.0, 50.0), ("outdoor", 80.0, 100.0), ("hall", 10.0, 50.0),
+    ]  # fmt: skip
+    assert {source.name: source.without_camera for source in chosen.config.sources} == {
+        "wide": "refuse", "halls": "refuse", "bare": "assume",
+    }  # fmt: skip
+    said = "\n".join(_described(chosen, tmp_path))
+    assert "wide: cameras of 116 to 145 degrees from left to right; depth is scaled to the canonical one" in said
+    assert "bare: no camera is known: all photos are taken to come from the canonical one" in said
+    some = write_pairs(tmp_path / "some", n=3, focal_px=(40.0,))
+    with pytest.raises(InputError, match=r"some says the camera of 1 of the 3 photos .* for all of them.* or for none"):
+        planned({"some": some}, init=init)
+
+
+def test_before_and_after_are_measured_with_the_camera(tiny_model: ZoeDepth, tmp_path: Path):
+    init, out = in_one_camera(tiny_model, tmp_path), tmp_path / "out"
+    path = write_pairs(tmp_path / "rooms", n=2, size=(64, 64), focal_px=(25.0, 25.0))
+    assert main(["train", "finetune", "--data", str(path), "--init", init, "--steps", "1", "--out", str(out)]) == 0
+    (measured,) = json.loads((out / "metrics.json").read_text()).values()
+    assert [measured[label]["camera"] for label in ("before", "after")] == ["data", "data"]
+    dataset = PairDataset(path)
+    held_out, protocols = Subset(dataset, [1]), {"indoor": INDOOR}
+    expected = score_dataset(ModelSource(load_model(init), camera="data"), held_out, protocols).scores[0].sums.metrics()
+    assert measured["before"]["metrics"]["rel"] == pytest.approx(expected.rel)
+    assert load_model(out / "model.safetensors").config == load_model(init).config
 
 
 # ---------------------------------------------------------------------------------------------------- the command

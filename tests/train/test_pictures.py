@@ -8,6 +8,7 @@ import torch
 
 from zoedepth.config import ModelConfig
 from zoedepth.data.sample import Sample
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train import pictures
 from zoedepth.train.pictures import data_sheet, predictions_sheet
@@ -75,6 +76,15 @@ def test_prediction_takes_the_head_of_the_label_where_there_are_several(
     assert any(np.array_equal(routed, other) for other in (indoor, outdoor))
     one = ZoeDepth(replace(tiny_config, domains=tiny_config.domains[:1])).eval()
     predictions_sheet(one, [replace(sample(), domain="attic")], stage="metric")  # its one head takes any
+
+
+def test_prediction_of_a_model_in_one_camera_is_for_the_camera_of_the_photo(tiny_config: ModelConfig, colored) -> None:
+    torch.manual_seed(0)
+    domains = (replace(tiny_config.domains[0], focal_px=80.0),)
+    model = ZoeDepth(replace(tiny_config, domains=domains, canonical_camera=True, pad=False)).eval()
+    known = replace(sample(), camera=Intrinsics(120.0, 120.0, 47.5, 31.5))
+    predictions_sheet(model, [known, sample()], stage="metric")
+    np.testing.assert_allclose(colored[1][0], 1.5 * colored[3][0], rtol=1e-5)
 
 
 def test_stage_1_shows_disparity_with_the_prediction_fitted_to_it(tiny_model: ZoeDepth, panels, colored) -> None:

@@ -227,3 +227,13 @@ def test_unknown_source_is_an_error_that_names_it(tiny_model: ZoeDepth) -> None:
         start_from(tiny_model, "imaginet")
     with pytest.raises(InputError, match=r"nowhere\.safetensors"):
         start_from(tiny_model, "nowhere.safetensors")
+
+
+def test_the_same_network_in_another_camera_starts_with_all_weights(
+    tiny_config: ModelConfig, tiny_model: ZoeDepth, tmp_path: Path
+) -> None:
+    save_model(tiny_model, tmp_path / "old.safetensors")
+    domains = tuple(dataclasses.replace(each, focal_px=80.0) for each in tiny_config.domains)
+    model = ZoeDepth(dataclasses.replace(tiny_config, domains=domains, canonical_camera=True))
+    assert start_from(model, str(tmp_path / "old.safetensors")).startswith("all weights of")
+    assert all(torch.equal(value, tiny_model.state_dict()[name]) for name, value in model.state_dict().items())

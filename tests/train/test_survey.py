@@ -27,6 +27,17 @@ def test_survey_finds_ranges_sizes_and_density(tmp_path: Path):
     assert len(samples) == 3
 
 
+def test_survey_finds_the_cameras(tmp_path: Path):
+    found, _ = survey(open_dataset(write_pairs(tmp_path / "rooms", n=3, focal_px=(50.0, 70.0))), name="rooms")
+    assert {domain: [camera.fx for camera in cameras] for domain, cameras in found.cameras.items()} == {
+        "indoor": [50.0, 70.0]
+    }
+    assert found.cameras["indoor"][0].size == (64, 96)
+    assert found.n_cameras == 2
+    bare, _ = survey(open_dataset(write_pairs(tmp_path / "bare")), name="bare")
+    assert (bare.cameras, bare.n_cameras) == ({}, 0)
+
+
 def test_survey_sees_scattered_points(tmp_path: Path):
     found, _ = survey(open_dataset(write_sparse(tmp_path)), name="lidar")
     assert found.sparse

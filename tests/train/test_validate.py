@@ -1,5 +1,6 @@
 """Validation while training: the paper's protocol in stage 2, disparity with scale and shift given in stage 1."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from tests.folders import write_disparity_pairs, write_pairs
 from torch.utils.data import Subset
 
+from zoedepth.config import ModelConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.evaluation.predictions import ModelSource, Prediction
@@ -58,6 +60,24 @@ def test_photos_without_a_pixel_to_score_have_no_metrics(tiny_model: ZoeDepth, t
     assert {name for name in found if "/none/" in name} == {"validation/none/router"}
     alone = validate(tiny_model, {"some": Subset(some, [0])}, stage="metric")
     assert found["validation/some/rel"] == alone["validation/some/rel"] > 0
+
+
+def test_model_in_one_camera_is_told_the_camera_where_it_is_known(
+    tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def predict(source: ModelSource, sample: Sample, protocol: Protocol) -> tuple[Prediction, Sample]:
+        told.append(source.camera)
+        return Prediction(sample.target[0].numpy()), sample
+
+    monkeypatch.setattr(module, "predict", predict)
+    data = PairDataset(write_pairs(tmp_path / "rooms", n=2, focal_px=(50.0,)))
+    domains = (replace(tiny_config.domains[0], focal_px=80.0),)
+    for canonical in (True, False):
+        model = ZoeDepth(replace(tiny_config, domains=domains, canonical_camera=canonical)).eval()
+        validate(model, {"rooms": data}, stage="metric")
+    assert told == ["data", "none", "none", "none"]
 
 
 @pytest.mark.parametrize("kind", ["depth", "disparity"])

@@ -97,8 +97,9 @@ class Domain:
     """Farthest depth, metres. It bounds normed centers; softplus centers may go beyond. In a canonical camera it bounds
     the depth that is scaled to that camera, which is ``focal_px`` / focal length times the depth of the scene."""
     focal_px: float | None = None
-    """Focal length of the photos that the model learned this domain's metres from, counted in pixels of the photo as
-    the network saw it (``zoedepth.sizes.network_focal``). None: not known. It belongs to ``size`` of the config."""
+    """Focal length (the vertical one) of the photos that the model learned this domain's metres from, in pixels of the
+    photo as the network saw it, see ``zoedepth.sizes.network_focal``. None: not known. It belongs to the config's
+    ``size``."""
 
     def __post_init__(self) -> None:
         require(bool(self.name), "domain.name", "a name of at least one letter", self.name)

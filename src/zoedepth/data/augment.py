@@ -18,7 +18,6 @@ from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.pixels import reflect_pad
-from zoedepth.sizes import network_focal
 
 Augmentation = Callable[[Sample, np.random.Generator], Sample]
 
@@ -209,8 +208,7 @@ def canonical_camera(focal_px: Mapping[str, float], *, data: str, assume: bool =
         if camera is None:
             raise InputError(no_camera(data, sample.name))
         wanted = focal_px[sample.domain] if len(focal_px) > 1 else next(iter(focal_px.values()))
-        size = (sample.image.shape[-2], sample.image.shape[-1])
-        factor = wanted / network_focal((camera.fx, camera.fy), size, size)
+        factor = wanted / camera.fy  # see zoedepth.sizes.network_focal
         camera = replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
         return replace(sample, target=sample.target * factor, camera=camera)
 

@@ -31,8 +31,8 @@ def origin_of(config: ModelConfig, domain: str, metres: float) -> Domain:
         domain: name of the domain of the data.
         metres: its farthest depth.
     """
-    name = head_of(config, domain)
-    return config.domains[_most_like(Domain(name, max_depth=max(metres, 2 * Domain.min_depth)), config.domains)]
+    new = Domain(head_of(config, domain), min_depth=metres / 1000, max_depth=_round_up(metres))
+    return config.domains[_most_like(new, config.domains)]
 
 
 def extended_config(

@@ -270,7 +270,7 @@ def _config(config: ModelConfig, surveys: Mapping[str, Survey], far: Mapping[str
             )
         for scene, metres in found.far.items():
             cameras = found.cameras.get(scene, ())
-            focal = [focal_in_network(config, (camera.fx, camera.fy), camera.size) for camera in cameras]
+            focal = [focal_in_network(config, camera.fy, camera.size) for camera in cameras]
             lenses.setdefault(head_of(config, scene), []).extend(focal)
             if len(cameras) < found.count[scene]:
                 unknown.add(head_of(config, scene))
