@@ -17,9 +17,9 @@ from zoedepth.geometry.points import check_size, known_depth
 
 Focal = float | Float[np.ndarray, "rows 1"]
 
-STEEP = 3.5
+STEEP = 3.0
 """Change in depth for a step across the line of sight, both in metres, beyond which a surface is suspected to be none:
-it would be seen under less than 16 degrees, and what is at its sides would not go on so."""
+it would be seen under less than 18 degrees, and what is at its sides would not go on so."""
 
 _REACH = (4, 7, 11)  # pixels from the middle of a ramp to where it should have ended; wider ramps: see ``_FEWEST``
 _SHARP = (2, 3)  # the same for jumps between two pixels
@@ -35,7 +35,8 @@ _DIRECTIONS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0.7, 0.7), (0.7, -0.7), (-0.7,
 def inverse_depth(depth: Float[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
     """Return 1 / depth, and NaN where there is no depth."""
     known = known_depth(depth)
-    return np.divide(1, depth, out=np.full(depth.shape, np.nan, np.float32), where=known, casting="same_kind")
+    with np.errstate(over="ignore"):  # of the least numbers above 0
+        return np.divide(1, depth, out=np.full(depth.shape, np.nan, np.float32), where=known, casting="same_kind")
 
 
 def tolerance(depth: Float[np.ndarray, "*places"]) -> Float[np.ndarray, "*places"]:
