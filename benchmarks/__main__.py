@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import depthwise, inference, linear, outputs, peers, startup, synthetic
+from benchmarks import calibration, depthwise, inference, linear, outputs, peers, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
@@ -13,6 +13,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "synthetic": synthetic.main,
     "outputs": outputs.main,
     "peers": peers.main,
+    "calibration": calibration.main,
 }
 
 

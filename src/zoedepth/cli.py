@@ -66,6 +66,12 @@ def _predict() -> Function:
     return predict
 
 
+def _calibrate() -> Function:
+    from zoedepth.commands.calibrate import calibrate
+
+    return calibrate
+
+
 def _evaluate() -> Function:
     from zoedepth.commands.evaluate import evaluate
 
@@ -119,6 +125,11 @@ COMMANDS = {
     "demo-train": Command("train a tiny model in both stages on rendered scenes", _demo_train),
     "predict": Command(
         "write the depth in metres of photos, folders or globs", _predict, ("out", "model", "save", "domain", "device")
+    ),
+    "calibrate": Command(
+        "put the metres of a camera's photos right by a few readings of a tape measure",
+        _calibrate,
+        ("photo", "at", "between", "depth", "depth_scale", "along_ray", "form", "out", "add", "undo"),
     ),
     "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train, reads_itself=True),
     "evaluate": Command(

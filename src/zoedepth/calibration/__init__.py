@@ -7,9 +7,16 @@ A model sees the shape of a room better than its size. One factor on all depths 
     write_calibration("camera.json", calibration)  # for all photos of this camera: zoedepth predict --calibration
 """
 
-from zoedepth.calibration.calibration import COVERAGE, Calibration, read_calibration, write_calibration
+from zoedepth.calibration.calibration import (
+    COVERAGE,
+    Calibration,
+    check_replaceable,
+    read_calibration,
+    write_calibration,
+)
 from zoedepth.calibration.fit import Form, calibrate
-from zoedepth.calibration.readings import Distance, Point, Reading
+from zoedepth.calibration.readings import Distance, Point, Reading, places_to_measure
+from zoedepth.calibration.undo import is_calibrated, undo_files
 
 __all__ = [
     "COVERAGE",
@@ -19,6 +26,10 @@ __all__ = [
     "Point",
     "Reading",
     "calibrate",
+    "check_replaceable",
+    "is_calibrated",
+    "places_to_measure",
     "read_calibration",
+    "undo_files",
     "write_calibration",
 ]

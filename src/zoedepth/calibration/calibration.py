@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from zoedepth import __version__
 from zoedepth.calibration.readings import Reading
 from zoedepth.config import from_dict
 from zoedepth.errors import InputError
@@ -19,7 +18,7 @@ from zoedepth.stored import read_json, to_json
 COVERAGE = 0.8
 """Share of cases in which the truth lies within a stated error."""
 MAX_KEPT = 100
-"""Number of readings up to which a file lists them one by one."""
+"""Number of readings that a file lists, at most."""
 
 _MAX_SCALE, _MAX_POWER = 1e4, 4.0
 _MAX_FILE = 1 << 16  # bytes
@@ -40,15 +39,20 @@ class Calibration:
     power: float = 1.0
     """Exponent of the depth in metres; 1 for a calibration by scale alone."""
     scale_error: float = 0.0
-    """Relative error of the scale: in four of five cases (``COVERAGE``), the factor that puts the median of the photo
-    right lies between ``scale / (1 + scale_error)`` and ``scale * (1 + scale_error)``."""
+    """Relative error of the scale: in four of five cases (``COVERAGE``), the factor that would put the median of the
+    calibrated photo right lies between ``1 / (1 + scale_error)`` and ``1 + scale_error``."""
     expected_error: float = 0.0
     """Relative error of the depth at one pixel of the calibrated photo: for four pixels of five (``COVERAGE``), the
     truth lies between ``depth / (1 + expected_error)`` and ``depth * (1 + expected_error)``."""
+    error_elsewhere: float = 0.0
+    """The same for other photos of this camera. Where one photo was measured it is larger."""
     n_readings: int = 0
     """Number of readings, outliers included."""
+    middle: float = 1.0
+    """Depth in metres, before calibration, of the median reading: at a power other than 1, depths there change by the
+    factor ``scale * middle ** (power - 1)``."""
     readings: tuple[Reading, ...] = ()
-    """The readings one by one. A file has them where there are ``MAX_KEPT`` or fewer."""
+    """The readings one by one. A file has ``MAX_KEPT`` of them, evenly spread, where there are more."""
     camera: Camera | None = None
     """The camera of the photo; None where nobody said."""
     network: str | None = None
@@ -62,17 +66,39 @@ class Calibration:
         _check_number("scale", self.scale, 1 / _MAX_SCALE, _MAX_SCALE)
         _check_number("power", self.power, 1 / _MAX_POWER, _MAX_POWER)
         _check_number("scale_error", self.scale_error, 0, _MAX_SCALE)
+        _check_number("error_elsewhere", self.error_elsewhere, 0, _MAX_SCALE)
+        _check_number("middle", self.middle, 1e-9, 1e9)
         _check_number("expected_error", self.expected_error, 0, _MAX_SCALE)
         for reading in self.readings:
             if len(reading.points) not in (1, 2):
                 raise InputError(f"a reading of a calibration has one point or two, not {len(reading.points)}")
             for name in ("metres", "before", "after"):
-                _check_number(f"{name} of the reading {reading.name}", getattr(reading, name), 1e-9, 1e9)
+                _check_number(f"{name} of the reading {reading.place}", getattr(reading, name), 1e-9, 1e9)
+            _check_number(f"spread of the reading {reading.place}", reading.spread, 1e-3, 1e6)
 
     @property
     def outliers(self) -> tuple[Reading, ...]:
         """The readings that do not fit the others and were left out."""
         return tuple(reading for reading in self.readings if reading.outlier)
+
+    @property
+    def n_photos(self) -> int:
+        """Number of photos that the listed readings are from."""
+        return len({reading.photo for reading in self.readings})
+
+    @property
+    def error_before(self) -> float:
+        """Median relative error of the depth as it was at the readings that fit; NaN without readings."""
+        return self._error("before")
+
+    @property
+    def error_after(self) -> float:
+        """Median relative error of the calibrated depth at the readings that fit; NaN without readings."""
+        return self._error("after")
+
+    def _error(self, when: str) -> float:
+        errors = [abs(getattr(each, when) / each.metres - 1) for each in self.readings if not each.outlier]
+        return float(np.median(errors)) if errors else math.nan
 
     def apply(self, depth: DepthArray) -> DepthArray:
         """Return the calibrated depth, float32; what is no depth (0, NaN) stays as it is."""
@@ -110,7 +136,7 @@ class Calibration:
             focal_corrected: whether the depth is corrected by the focal length.
         """
         found = []
-        if self.camera is not None and camera is not None and (reason := _other_camera(self.camera, camera)):
+        if self.camera is not None and camera is not None and (reason := other_camera(self.camera, camera)):
             found.append(reason)
         if self.network is not None and network is not None and network != self.network:
             found.append(f"it was measured with the model {self.network}, and this is {network}")
@@ -124,10 +150,10 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """Return plain values for JSON, from which ``from_json`` makes this calibration again.
 
-        More than ``MAX_KEPT`` readings are left out, except for their number.
+        Of more than ``MAX_KEPT`` readings some are left out, except from their number.
         """
-        kept = self.readings if len(self.readings) <= MAX_KEPT else ()
-        return asdict(replace(self, readings=kept))
+        step = max(1, -(-len(self.readings) // MAX_KEPT))
+        return asdict(replace(self, readings=self.readings[::step]))
 
     @classmethod
     def from_json(cls, values: dict[str, Any], *, where: str = "calibration") -> "Calibration":
@@ -150,6 +176,18 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         InputError: a file is there that is no calibration of this package.
     """
     path = Path(path)
+    check_replaceable(path)
+    content = to_json({"zoedepth": _KIND, _KIND: calibration.to_json()}, indent=2)
+    with atomic_path(path) as temporary:
+        temporary.write_text(content + "\n", encoding="utf-8")
+
+
+def check_replaceable(path: Path) -> None:
+    """Refuse to write a calibration where something else is.
+
+    Raises:
+        InputError: a folder is there, or a file that is no calibration of this package.
+    """
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file")
     if path.exists():
@@ -157,9 +195,6 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
             read_calibration(path)
         except InputError as error:
             raise InputError(f"{path} is no calibration and would be replaced: give another name") from error
-    content = to_json({"zoedepth": __version__, _KIND: calibration.to_json()}, indent=2)
-    with atomic_path(path) as temporary:
-        temporary.write_text(content + "\n", encoding="utf-8")
 
 
 def read_calibration(path: str | Path) -> Calibration:
@@ -170,7 +205,7 @@ def read_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     values = read_json(path, max_bytes=_MAX_FILE)
-    if not isinstance(values.get("zoedepth"), str) or not isinstance(values.get(_KIND), dict):
+    if values.get("zoedepth") != _KIND or not isinstance(values.get(_KIND), dict):
         raise InputError(
             f"{path} is no calibration: make one with `zoedepth calibrate PHOTO --at X,Y=METRES --out FILE`"
         )
@@ -190,7 +225,7 @@ def _check_number(name: str, value: float, low: float, high: float) -> None:
         raise InputError(f"the {name} of a calibration must be from {low:g} to {high:g}, got {value}")
 
 
-def _other_camera(one: Camera, other: Camera) -> str | None:
+def other_camera(one: Camera, other: Camera) -> str | None:
     """Return why two cameras are not one, or None. Size does not matter, nor whether the camera lies on its side."""
 
     def differ(a: float, b: float) -> bool:

@@ -26,9 +26,9 @@ def read_npy(file: Path | Memory) -> Map:
     return read_binary(file, _parse_npy, "a readable .npy with one map of numbers")
 
 
-def read_npz(file: Path | Memory) -> Map:
-    """Read the array ``depth`` of an .npz file, or the only one without a name. Pickled objects are refused."""
-    return read_binary(file, _parse_npz, "a readable .npz with one map of depth")
+def read_npz(file: Path | Memory, *, name: str = "depth") -> Map:
+    """Read an array of an .npz file by its name, or the only one without a name. Pickled objects are refused."""
+    return read_binary(file, lambda opened: _parse_npz(opened, name), f"a readable .npz with one map of {name}")
 
 
 def read_pfm(file: Path | Memory) -> Float32[np.ndarray, "height width"]:
@@ -41,14 +41,15 @@ def read_pgm(file: Path | Memory) -> Map:
     return read_binary(file, _parse_pgm, "a readable PGM")
 
 
-def _parse_npz(file: IO[bytes]) -> np.ndarray:
+def _parse_npz(file: IO[bytes], wanted: str) -> np.ndarray:
     bounded: Any = BoundedFile(file, max_bytes=PIECE)  # as much of a file as zipfile uses
     with zipfile.ZipFile(bounded) as archive:
         names = archive.namelist()
-        name = _NAMELESS if names == [_NAMELESS] else "depth.npy"
+        name = _NAMELESS if names == [_NAMELESS] else f"{wanted}.npy"
         if name not in names:
             found = ", ".join(Path(name).stem for name in names[:_MOST_NAMED]) + (", ..." * (len(names) > _MOST_NAMED))
-            raise ValueError(f"it has no array 'depth', but {found or 'none at all'}. Save the one of depth as 'depth'")
+            advice = ". Save the one of depth as 'depth'" if wanted == "depth" else ""
+            raise ValueError(f"it has no array {wanted!r}, but {found or 'none at all'}{advice}")
         member = archive.getinfo(name)
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("its array is compressed in a way that numpy does not use")

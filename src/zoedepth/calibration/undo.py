@@ -1,0 +1,100 @@
+"""Files that were written with a calibration, put back to the metres of the model."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from zoedepth.calibration.calibration import Calibration
+from zoedepth.config import from_dict
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera
+from zoedepth.images import DepthArray, ImageArray, read_image
+from zoedepth.outputs import OUTPUTS, Maps, Options
+from zoedepth.outputs import sidecar as sidecars
+from zoedepth.outputs.ownership import is_own_file
+from zoedepth.stored import read_depth, read_npz
+
+_EXACT = ("npz", "npy", "tiff", "pfm", "exr", "depth")
+"""Outputs that hold metres, the most exact first: a PNG has millimetres."""
+_WITHOUT_PHOTO = {"npz", "npy", "tiff", "pfm", "depth", "color"}
+_AGAIN = "Or predict the photo again without --calibration"
+
+
+def is_calibrated(sidecar: Path) -> bool:
+    """Return True if a file is the sidecar of a photo whose depth was calibrated."""
+    values = sidecars.read_sidecar(sidecar)
+    return values is not None and isinstance(values.get("calibration"), dict)
+
+
+def undo_files(sidecar: Path) -> list[Path]:
+    """Write the files of a photo again, with depth as it was before its calibration: all of them, or none.
+
+    Depth is taken from the most exact of the files, so that a PNG alone loses half a millimetre (see the calibration's
+    scale). What is drawn or meshed is made anew with the default options.
+
+    Args:
+        sidecar: JSON beside the files, which tells the calibration.
+
+    Returns:
+        The files that were replaced, the sidecar last.
+
+    Raises:
+        InputError: there is no such sidecar, no file holds the depth, a file is gone or is not from this package, or
+            one of them shows the photo, which is gone or another by now.
+    """
+    values = sidecars.read_sidecar(sidecar)
+    if values is None or not isinstance(values.get("calibration"), dict):
+        raise InputError(f"{sidecar} is no sidecar of a calibrated photo: give the .json beside its depth, or a folder")
+    calibration = Calibration.from_json(values["calibration"], where=f"{sidecar}: calibration")
+    files = {name: sidecar.parent / file for name, file in values["files"].items()}
+    for name, file in files.items():
+        if name not in OUTPUTS or Path(values["files"][name]).name != values["files"][name] or not is_own_file(file):
+            raise InputError(f"{file} is gone, or not from zoedepth: put it back. {_AGAIN}")
+    maps = _maps_before(values, files, calibration)
+    options = Options(png_scale=values.get("png_scale"))
+    with TemporaryDirectory(prefix=".", dir=sidecar.parent) as drafts:
+        written = {name: OUTPUTS[name].write(Path(drafts, file.name), maps, options) for name, file in files.items()}
+        facts = {key: value for output in written.values() for key, value in output.facts.items()}
+        told = sidecars.describe(maps, origin={}, facts=facts, files=values["files"])
+        kept = {key: value for key, value in values.items() if key != "calibration"}
+        sidecars.write_sidecar(Path(drafts, sidecar.name), {**kept, **told})
+        replaced = [*files.values(), sidecar]
+        for file in replaced:
+            Path(drafts, file.name).replace(file)
+    return replaced
+
+
+def _maps_before(values: Mapping[str, Any], files: Mapping[str, Path], calibration: Calibration) -> Maps:
+    exact = [name for name in _EXACT if name in files]
+    if not exact:
+        raise InputError(f"none of the files of {values['source']} holds its depth in metres. {_AGAIN}")
+    depth = calibration.undo(read_depth(files[exact[0]]))
+    camera = values.get("camera")
+    return Maps(
+        depth=depth,
+        std=_std_before(files["npz"], depth, calibration) if "npz" in files else None,
+        image=_photo(Path(values["source"]), depth.shape) if set(files) - _WITHOUT_PHOTO else None,
+        camera=from_dict(Camera, camera, where="camera") if isinstance(camera, dict) else None,
+    )
+
+
+def _std_before(file: Path, depth: DepthArray, calibration: Calibration) -> DepthArray | None:
+    try:
+        std = read_npz(file, name="std").astype(np.float32)
+    except InputError:  # the model has none
+        return None
+    slope = calibration.apply_to_std(np.ones_like(depth), depth)
+    return np.divide(std, slope, out=np.zeros_like(depth), where=slope > 0)
+
+
+def _photo(path: Path, size: tuple[int, ...]) -> ImageArray:
+    try:
+        image = read_image(path)
+    except InputError as error:
+        raise InputError(f"{error}. Its other files show the photo. {_AGAIN}") from error
+    if image.shape[:2] != size:
+        raise InputError(f"{path} is of another size than its depth: is it another photo by now? {_AGAIN}")
+    return image
