@@ -9,6 +9,8 @@ Names are imported when first used, so that ``import zoedepth`` costs almost not
 
 from typing import TYPE_CHECKING
 
+from zoedepth import moved
+
 if TYPE_CHECKING:
     from zoedepth.build import build_model
     from zoedepth.config import ModelConfig
@@ -37,6 +39,9 @@ __all__ = [
     "read_depth",
     "save_model",
 ]
+
+
+moved.install()
 
 
 def __getattr__(name: str) -> object:

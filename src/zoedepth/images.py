@@ -21,6 +21,7 @@ from PIL import Image, UnidentifiedImageError
 
 from zoedepth.claims import HEIC_IS_READ, BinaryFile, check_claims
 from zoedepth.errors import InputError, InputWarning
+from zoedepth.moved import moved_name
 from zoedepth.pictures import PhotoNotes, has_whole_exif, is_panorama, n_full_pages, open_picture, read_exif, read_notes
 
 ImageArray = UInt8[np.ndarray, "_height _width 3"]
@@ -478,3 +479,7 @@ def _channels_last(tensor: Any) -> np.ndarray:
     if array.ndim == 3 and array.shape[0] not in (1, 3, 4):
         raise InputError(f"the tensor has shape {array.shape}: expected (channels, height, width), channels first")
     return np.moveaxis(array, 0, -1) if array.ndim == 3 else array
+
+
+def __getattr__(name: str) -> object:
+    return moved_name(__name__, name)

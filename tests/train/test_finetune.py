@@ -85,6 +85,13 @@ def test_options_go_before_what_the_data_suggests(planned, init: str, tmp_path: 
         planned({"rooms": rooms}, **given, steps=0)
 
 
+def test_start_and_length_may_be_given_without_other_options(init: str, tmp_path: Path):
+    rooms = {"rooms": str(write_pairs(tmp_path / "rooms", n=8))}
+    chosen = plan(rooms, init=init, steps=3, out=tmp_path / "out")
+    assert chosen.config.steps == 3
+    assert plan(rooms, FinetuneOptions(init="none", steps=9, seed=5), init=init, out=tmp_path / "out").config.seed == 5
+
+
 def test_more_data_means_fewer_epochs():
     assert steps_for(30, 4) == 300
     assert steps_for(4, 4) == 100

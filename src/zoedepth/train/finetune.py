@@ -67,9 +67,11 @@ class Plan:
 
 def plan(
     data: Mapping[str, str],
-    options: FinetuneOptions,
+    options: FinetuneOptions | None = None,
     *,
     out: Path,
+    init: str | None = None,
+    steps: int | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Plan:
     """Look at the data, and choose what fits it. Writes ``out/data.jpg``, a picture of some of the data.
@@ -78,12 +80,15 @@ def plan(
         data: name of a data set → where it is, anything that ``zoedepth.opening.open_dataset`` opens.
         options: the user's choices.
         out: folder for the result.
+        init, steps: these two of the choices, in place of those in ``options``.
         progress: called while files are looked at, with the number of pairs that are done, and of all.
 
     Raises:
         InputError: the data cannot be read or is not plausible, there are too few pairs, the model cannot be
             fine-tuned, or ``out`` has files that are not those of a fine-tuning.
     """
+    options = options or FinetuneOptions()
+    options = replace(options, init=init or options.init, steps=options.steps if steps is None else steps)
     init = options.init
     _check_out(out, data)
     if is_exported(init):
