@@ -37,11 +37,14 @@ def test_names_that_never_were_are_not_found(name: str) -> None:
 
 
 def test_the_warning_is_of_the_line_that_uses_the_old_name() -> None:
+    from zoedepth import images
+
+    with pytest.warns(DeprecationWarning, match="read_depth") as warned:
+        getattr(images, "read_depth")  # noqa: B009
     sys.modules.pop("zoedepth.camera", None)
-    with pytest.warns(DeprecationWarning) as warned:
+    with pytest.warns(DeprecationWarning, match="camera") as too:
         import zoedepth.camera  # pyright: ignore[reportMissingImports]  # noqa: F401
-        from zoedepth.images import read_depth  # noqa: F401
-    assert [warning.filename for warning in warned] == [__file__] * len(warned)
+    assert [warning.filename for warning in [*warned, *too]] == [__file__] * 2
     sys.modules.pop("zoedepth.camera", None)
 
 

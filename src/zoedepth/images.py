@@ -282,8 +282,8 @@ def _warn_of_more(picture: Image.Image, name: str, *, panorama: bool) -> None:
         )
     if not panorama and is_panorama(picture):
         _warn(
-            f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be wrong. "
-            "Where it is a whole sphere, zoedepth.predict_panorama looks at it in parts"
+            f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be "
+            "wrong. Where it is a whole sphere, zoedepth.predict_panorama looks at it in parts"
         )
 
 
