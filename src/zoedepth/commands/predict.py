@@ -81,8 +81,10 @@ def predict(
     by Ctrl-C, 143 ended by SIGTERM.
 
     Args:
-        sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg").
-        out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo.
+        sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg"); - is a photo from
+            standard input, for --out -.
+        out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo. - writes one file of one
+            photo to standard output: the depth, or the one kind of --save.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
             `zoedepth export`.
         save: names in ``outputs.OUTPUTS``, or suffixes; the summaries of the outputs are the help.
@@ -122,6 +124,7 @@ def predict(
     from zoedepth.batch import Request, blocked, cpu_count, find_photos, share_cores
     from zoedepth.calibration import read_calibration
     from zoedepth.commands.cameras import chosen_camera
+    from zoedepth.commands.streams import STREAM, standard_streams
 
     console = Console(stderr=True, highlight=False)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
@@ -131,69 +134,71 @@ def predict(
         raise InputError(f"--workers must be 1 or more, got {workers}")
     options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
 
+    streamed = str(out) == STREAM
     corrections = None if calibration is None else read_calibration(calibration)
 
     def request(*, relative: bool) -> Request:
         kind = "relative" if relative else "depth"
-        names = output_names(save or (kind, "preview"), map=kind)
+        names = output_names(save or ((kind,) if streamed else (kind, "preview")), map=kind)
         names = tuple(name for name in names if preview or name != "preview")
         return Request(model, names, options, domain=domain, relative=relative, calibration=corrections)
 
     wanted = request(relative=relative)
-    found = find_photos(sources, out)
-    if json_:
-        for path, reason in found.unreadable.items():
-            _print_json(path, error=reason)
-    if not found.photos:
-        for failure in found.failures:
-            console.print(f"[red]{escape(failure)}[/]", soft_wrap=True)
-        _tell_left_out(found, console)
-        searched = ", ".join(sources) or "no source given"
-        console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
-        return EXIT_NOTHING_TO_DO
-    known_camera = chosen_camera(
-        [photo.path for photo in found.photos],
-        camera=camera,
-        fov_x=fov_x,
-        fov_y=fov_y,
-        fov_diagonal=fov_diagonal,
-        focal_px=focal_px,
-        intrinsics=intrinsics,
-    )
-    about_metres = known_camera != "exif" or focal_correction == "yes"
-    if relative and about_metres:
-        raise InputError(_NO_METRES)
-    check_writable(out, option="--out")
-    if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
-        raise InputError(
-            reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"
+    with standard_streams(sources, out, kinds=wanted.names, json_=json_) as (sources, out):
+        found = find_photos(sources, out)
+        if json_:
+            for path, reason in found.unreadable.items():
+                _print_json(path, error=reason)
+        if not found.photos:
+            for failure in found.failures:
+                console.print(f"[red]{escape(failure)}[/]", soft_wrap=True)
+            _tell_left_out(found, console)
+            searched = ", ".join(sources) or "no source given"
+            console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
+            return EXIT_NOTHING_TO_DO
+        known_camera = chosen_camera(
+            [photo.path for photo in found.photos],
+            camera=camera,
+            fov_x=fov_x,
+            fov_y=fov_y,
+            fov_diagonal=fov_diagonal,
+            focal_px=focal_px,
+            intrinsics=intrinsics,
         )
+        about_metres = known_camera != "exif" or focal_correction == "yes"
+        if relative and about_metres:
+            raise InputError(_NO_METRES)
+        check_writable(out, option="--out")
+        if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
+            raise InputError(
+                reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"
+            )
 
-    from zoedepth.commands.progress import download_progress
-    from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_model
+        from zoedepth.commands.progress import download_progress
+        from zoedepth.predict import Predictor
+        from zoedepth.weights.load import load_model
 
-    workers = min(workers or cpu_count(), len(found.photos))  # 0 once stood for all cores
-    with share_cores(workers):
-        with download_progress() as progress:
-            network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
-        if not network.config.domains:
-            wanted = request(relative=True)
-            if about_metres:
-                raise InputError(_NO_METRES)
-        padded = None if pad == "model" else pad == "yes"
-        predictor = Predictor(
-            network,
-            flip_average=flip,
-            pad=padded,
-            device=device,
-            precision=precision,
-            camera=known_camera,
-            focal_correction=None if focal_correction == "model" else focal_correction == "yes",
-        )
-        if domain is not None:
-            predictor.domain_index(domain)
-        return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)
+        workers = min(workers or cpu_count(), len(found.photos))  # 0 once stood for all cores
+        with share_cores(workers):
+            with download_progress() as progress:
+                network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
+            if not network.config.domains:
+                wanted = request(relative=True)
+                if about_metres:
+                    raise InputError(_NO_METRES)
+            padded = None if pad == "model" else pad == "yes"
+            predictor = Predictor(
+                network,
+                flip_average=flip,
+                pad=padded,
+                device=device,
+                precision=precision,
+                camera=known_camera,
+                focal_correction=None if focal_correction == "model" else focal_correction == "yes",
+            )
+            if domain is not None:
+                predictor.domain_index(domain)
+            return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)
 
 
 def _run(
