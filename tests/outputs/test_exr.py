@@ -11,6 +11,7 @@ from zoedepth.errors import MissingExtraError
 from zoedepth.geometry.camera import Camera
 from zoedepth.outputs import Maps, Options
 from zoedepth.outputs.exr import EXR, write_exr
+from zoedepth.stored import read_depth
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -55,6 +56,15 @@ def test_header_has_the_camera(tmp_path: Path) -> None:
     right, bottom = CAMERA.ray(3.5, 2.5)[:2]
     assert header["screenWindowWidth"] == pytest.approx(right - left)
     np.testing.assert_allclose(header["screenWindowCenter"], [-(left + right) / 2, -(top + bottom) / 2], rtol=1e-6)
+
+
+def test_flat_pictures_are_not_packed_so_that_they_look_like_bombs(tmp_path: Path) -> None:
+    depth, image = np.full((2600, 2600), 2, np.float32), np.full((2600, 2600, 3), 255, np.uint8)
+    write_exr(tmp_path / "a.exr", depth, image=image)
+    np.testing.assert_array_equal(read_depth(tmp_path / "a.exr"), depth)
+    assert (tmp_path / "a.exr").stat().st_size > depth.nbytes
+    write_exr(tmp_path / "a.exr", depth)
+    assert (tmp_path / "a.exr").stat().st_size < depth.nbytes / 100
 
 
 def test_extra_that_is_missing_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -118,8 +118,10 @@ def test_without_a_photo_has_no_texture(tmp_path: Path) -> None:
     assert len(trimesh.load(tmp_path / "a.glb").geometry) == 1
 
 
-def test_photo_is_reduced_to_what_browsers_show(tmp_path: Path) -> None:
-    write_glb(tmp_path / "a.glb", PLANE, image=np.zeros((40, MAX_TEXTURE * 2, 3), np.uint8))
+def test_photo_is_reduced_to_what_browsers_show_and_that_is_said(tmp_path: Path) -> None:
+    size = (40, MAX_TEXTURE * 2)
+    maps = Maps(np.ones(size, np.float32), image=np.zeros((*size, 3), np.uint8), camera=Camera.from_focal(5000.0, size))
+    assert "4096 pixels" in " ".join(GLB.write(tmp_path / "a.glb", maps, Options(max_triangles=None)).notes)
     file = GLTF2().load(str(tmp_path / "a.glb"))
     view = file.bufferViews[file.images[0].bufferView]
     with Image.open(BytesIO(file.binary_blob()[view.byteOffset :][: view.byteLength])) as texture:

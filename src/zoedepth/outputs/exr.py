@@ -9,7 +9,7 @@ from jaxtyping import Float16
 
 from zoedepth.errors import MissingExtraError
 from zoedepth.geometry.camera import Camera
-from zoedepth.images import OWN_MARK, ImageArray, atomic_path
+from zoedepth.images import OWN_MARK, ImageArray, atomic_path, check_expansion
 from zoedepth.outputs.output import Maps, Options, Output, Written, check_map, known_or_zero, needed
 
 
@@ -48,6 +48,13 @@ def write_exr(
         channels["RGB"] = _linear_light()[image]
     with atomic_path(path) as temporary:
         OpenEXR.File(header, channels).write(str(temporary))
+        try:
+            check_expansion(4 * depth.size * (1 if image is None else 4), temporary.stat().st_size)
+        except (
+            ValueError
+        ):  # nothing but flat areas: readers, ours too, would take it for a file made to fill the memory
+            header["compression"] = OpenEXR.NO_COMPRESSION
+            OpenEXR.File(header, channels).write(str(temporary))
 
 
 def _camera_attributes(camera: Camera) -> dict[str, object]:

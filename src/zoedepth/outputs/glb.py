@@ -25,6 +25,7 @@ from zoedepth.outputs.output import Maps, Options, Output, Written, needed
 MAX_TEXTURE = 4096
 """The longest side of the photo on a mesh, in pixels: what phones and browsers can show."""
 
+_REDUCED = f"the photo on the mesh has {MAX_TEXTURE} pixels on its longer side, as many as all browsers show"
 _GLTF_AXES = np.array([1, -1, -1], np.float32)  # half a turn about x: from y down, z forward to y up, z backward
 _QUALITY = 90
 # Numbers of the standard (glTF 2.0): types of numbers, kinds of buffers, filters and edges of textures.
@@ -183,7 +184,8 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     else:
         mesh = build_mesh(depth, needed(maps, "camera"), valid=maps.valid, max_triangles=most)
     write_glb(path, mesh, image=maps.image)
-    return Written({"triangles": len(mesh.faces)})
+    reduced = maps.image is not None and max(maps.image.shape) > MAX_TEXTURE
+    return Written({"triangles": len(mesh.faces)}, (_REDUCED,) if reduced else ())
 
 
 GLB = Output(".glb", "the surface as a mesh with the photo on it", _write, suffixes=(".glb",))
