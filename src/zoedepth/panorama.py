@@ -14,6 +14,7 @@ from zoedepth import colors
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.mesh import Mesh
 from zoedepth.geometry.panorama import (
+    FOV,
     build_panorama_mesh,
     check_panorama,
     cut_out,
@@ -29,6 +30,7 @@ from zoedepth.outputs import Maps, Options, write_maps
 from zoedepth.predict import Predictor
 
 _TOLERATED = 1.2  # a panorama is reduced where its pixels are so many times finer than those of the views
+_NARROWEST = 64  # pixels that a view is wide, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,22 +129,22 @@ def predict_panorama(predictor: Predictor, image: Any, *, domain: str | None = N
     panorama = read_image(image, panorama=True) if is_file else to_image(image)
     check_panorama(panorama.shape)
     size = (panorama.shape[0], panorama.shape[1])
-    views = panorama_views()
-    height = sharp_height(views[0])
-    if size[0] > _TOLERATED * height:
-        panorama_at = resized(panorama, (height, 2 * height))
-    else:
-        height, panorama_at = size[0], panorama
-    pictures = [cut_out(panorama_at, view) for view in views]
+    # Views of the panorama's own sharpness: what is finer than they can be is reduced first.
+    height = min(size[0], sharp_height(panorama_views()[0]))
+    width = max(_NARROWEST, round(2 * height / math.pi * math.tan(math.radians(FOV / 2))))
+    views = panorama_views((width * 3 // 4, width))
+    reduced = panorama if size[0] <= _TOLERATED * height else resized(panorama, (height, 2 * height))
+    pictures = [cut_out(reduced, view) for view in views]
     cameras = [view.camera for view in views]
     maps = predictor.batch(pictures, domain=domain, camera=cameras)
-    chosen = _common_domain(maps)
+    chosen = domain or _common_domain(maps)
     others = [number for number, depth_map in enumerate(maps) if depth_map.domain != chosen]
-    again = predictor.batch(
-        [pictures[number] for number in others], domain=chosen, camera=[cameras[number] for number in others]
-    )
-    for number, depth_map in zip(others, again, strict=True):
-        maps[number] = depth_map
+    if others:
+        again = predictor.batch(
+            [pictures[number] for number in others], domain=chosen, camera=[cameras[number] for number in others]
+        )
+        for number, depth_map in zip(others, again, strict=True):
+            maps[number] = depth_map
     merged = merge([depth_map.depth for depth_map in maps], views, (height, 2 * height))
     return PanoramaMap(
         resized(merged.distance, size),

@@ -321,14 +321,18 @@ def _sample(
     """Return the colours between pixels, interpolated. Behind a pole, the columns opposite go on."""
     height, width = panorama.shape[:2]
     top, bottom = (np.roll(panorama[[edge]], width // 2, axis=1) for edge in (0, -1))
-    closed = np.concatenate([top, panorama, bottom])
+    colors = np.concatenate([top, panorama, bottom]).reshape(-1, 3)
     y, x = np.floor(row).astype(np.int32), np.floor(column).astype(np.int32)
     down, right = (row - y)[..., None].astype(np.float32), (column - x)[..., None].astype(np.float32)
-    upper, lower = np.clip(y + 1, 0, height + 1), np.clip(y + 2, 0, height + 1)
+    upper, lower = (np.clip(y + under, 0, height + 1) * width for under in (1, 2))
     left, after = x % width, (x + 1) % width
-    above = closed[upper, left] * (1 - right) + closed[upper, after] * right
-    below = closed[lower, left] * (1 - right) + closed[lower, after] * right
-    return above * (1 - down) + below * down
+
+    def along(start: np.ndarray) -> np.ndarray:
+        first = colors.take(start + left, axis=0).astype(np.float32)
+        return first + (colors.take(start + after, axis=0) - first) * right
+
+    above = along(upper)
+    return above + (along(lower) - above) * down
 
 
 def _log_distance(depth: Float[np.ndarray, "_ _"], view: View) -> Float32[np.ndarray, "_ _"]:

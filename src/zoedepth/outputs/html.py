@@ -10,7 +10,7 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -28,7 +28,8 @@ Kind = Literal["glb", "ply", "pcd"]
 Up = Literal["y", "-y", "z"]
 Place = Literal["photo", "around", "outside"]
 
-_STARTS = {"glb": (b"glTF",), "ply": (b"ply",), "pcd": (b"# .PCD", b"VERSION")}
+_KINDS: dict[str, Kind] = {".glb": "glb", ".ply": "ply", ".pcd": "pcd"}
+_STARTS: dict[Kind, tuple[bytes, ...]] = {"glb": (b"glTF",), "ply": (b"ply",), "pcd": (b"# .PCD", b"VERSION")}
 _HEAD = 4096  # bytes in which all that we say of ourselves stands, but for the camera of a mesh
 
 
@@ -73,8 +74,8 @@ def write_page_of_file(path: str | Path, file: str | Path, *, up: Up | None = No
         InputError: the file is missing, too large, or of another kind.
     """
     file = Path(file)
-    kind = file.suffix.lower().removeprefix(".")
-    if kind not in get_args(Kind):
+    kind = _KINDS.get(file.suffix.lower())
+    if kind is None:
         raise InputError(f"{file} is no mesh or cloud that a page can show: give a .glb, .ply or .pcd")
     try:
         n_bytes = file.stat().st_size
@@ -115,8 +116,8 @@ def write_page_of_maps(
         else:
             written = GLB.write(file, maps, Options(max_triangles=most))
         place: Place = "around" if maps.panorama else "photo"
-        kind, up = ("ply", "-y") if cloud else ("glb", "y")
-        write_page(path, file.read_bytes(), kind=kind, title=title, up=up, place=place)
+        kind: Kind = "ply" if cloud else "glb"
+        write_page(path, file.read_bytes(), kind=kind, title=title, up="-y" if cloud else "y", place=place)
     return written
 
 
@@ -125,10 +126,12 @@ def _thinned(cloud: Cloud, most: int) -> Cloud:
     if len(cloud.points) <= most:
         return cloud
     some = np.sort(np.random.default_rng(0).choice(len(cloud.points), most, replace=False))
-    return Cloud(*(None if column is None else column[some] for column in cloud))
+    points, colors, normals = (None if column is None else column[some] for column in cloud)
+    assert points is not None
+    return Cloud(points, colors, normals)
 
 
-def _seen_from(content: bytes, kind: str) -> tuple[Up, Place]:
+def _seen_from(content: bytes, kind: Kind) -> tuple[Up, Place]:
     """Return what is up in a file, and where the first look is from: files of this package say where the camera was."""
     head = content[:_HEAD]
     if OWN_MARK.encode() not in head:
