@@ -72,6 +72,12 @@ def _calibrate() -> Function:
     return calibrate
 
 
+def _view() -> Function:
+    from zoedepth.commands.view import view
+
+    return view
+
+
 def _evaluate() -> Function:
     from zoedepth.commands.evaluate import evaluate
 
@@ -130,6 +136,11 @@ COMMANDS = {
         "put the metres of a camera's photos right by a few readings of a tape measure",
         _calibrate,
         ("photo", "at", "between", "depth", "depth_scale", "along_ray", "form", "out", "add", "undo"),
+    ),
+    "view": Command(
+        "show a photo, a mesh or a cloud in three dimensions, in the browser",
+        _view,
+        ("out", "cloud", "panorama", "up", "model", "domain"),
     ),
     "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train, reads_itself=True),
     "evaluate": Command(

@@ -3,8 +3,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-
 from tests.geometry.flying import blurred, draw_room
+
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.jumps import find_flying, flying_pixels, jumps, tolerance
