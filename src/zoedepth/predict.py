@@ -214,10 +214,10 @@ class Predictor:
         cameras = [known_without_notes(choice, size) for choice in choices]
         output = self._run(self._to_network(pixels.to(self.device).float(), network_size), domain)
         depth = self._from_network(output.depth, size, mode=self.upsampling)
+        if all(known is None for known in cameras):
+            return depth
         heads = [self.model.config.domains[head] for head in output.domain.tolist()]
         factors = [self._focal_factor(*each, network_size) for each in zip(cameras, heads, strict=True)]
-        if all(factor == 1 for factor in factors):
-            return depth
         return depth * depth.new_tensor(factors)[:, None, None, None]
 
     @torch.inference_mode()

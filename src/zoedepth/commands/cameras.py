@@ -2,16 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
 from zoedepth.geometry.camera_files import read_camera
+from zoedepth.geometry.choice import CameraChoice
 from zoedepth.geometry.lens import Lens, camera_of
 from zoedepth.images import read_image
-
-if TYPE_CHECKING:
-    from zoedepth.predict import CameraChoice
 
 
 def chosen_camera(
@@ -23,7 +20,7 @@ def chosen_camera(
     fov_diagonal: float | None,
     focal_px: float | None,
     intrinsics: tuple[float, float, float, float] | None,
-) -> "CameraChoice":
+) -> CameraChoice:
     """Return the camera that the options say.
 
     What is in pixels and has no size of its own is of photos of the size of the first that can be read.
