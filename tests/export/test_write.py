@@ -29,7 +29,7 @@ from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
 from zoedepth.export.wrapper import ExportModel
-from zoedepth.export.write import OPSET, ExportError, Format
+from zoedepth.export.write import OPSET, ExportError, Format, metadata
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.exported import ExportedModel, OpenVinoModel
 from zoedepth.weights.openvino_graph import LARGE
@@ -127,6 +127,7 @@ def test_names_and_metadata_are_what_other_programs_look_for(exports: Exports):
     assert [x.name for x in session.get_outputs()] == ["predicted_depth", "std", "domain_logits"]
     said = json.loads(session.get_modelmeta().custom_metadata_map["zoedepth"])
     assert said["unit"] == "metre"
+    assert said["camera"].startswith("predicted_depth needs no camera")
     assert said["domains"] == ["indoor", "outdoor"]
     assert said["preprocessing"]["multiple"] == 32
 
@@ -314,3 +315,12 @@ def test_the_weights_and_the_model_stay_as_they_are(exports: Exports, to: Format
     weights = exported.state_dict()
     assert weights.keys() == new.state_dict().keys()
     assert all(torch.equal(weights[name], value) for name, value in new.state_dict().items())
+
+
+def test_model_in_one_camera_says_how_metres_come_about(tiny_model: ZoeDepth):
+    domains = tuple(replace(domain, focal_px=80.0) for domain in tiny_model.config.domains)
+    tiny_model.config = replace(tiny_model.config, domains=domains, canonical_camera=True)
+    said = json.loads(metadata(tiny_model))
+    assert "multiply it by the photo's focal length" in said["camera"]
+    assert said["config"]["canonical_camera"]
+    assert [domain["focal_px"] for domain in said["config"]["domains"]] == [80.0, 80.0]

@@ -58,6 +58,16 @@ def test_card_describes_the_model():
     assert "2302.12288" in text
 
 
+def test_card_says_which_lenses_the_metres_are_for():
+    _, text = card()
+    assert "Camera: metres hold for lenses like those of the training photos, whose focal lengths were" in text
+    assert "415.58 for indoor, 787.13 for outdoor." in text
+    _, text = card(config=replace(NK, domains=(INDOOR,)))
+    assert "lenses like those of the training photos.\n" in text
+    _, text = card(config=replace(NK, canonical_camera=True))
+    assert "Camera: metres fit any lens whose focal length is known" in text
+
+
 def test_single_head_and_single_size_are_said():
     swin = next(config for config in PRESETS.values() if config.encoder.family == "swin")
     _, text = card(config=replace(swin, domains=(INDOOR,)))

@@ -166,12 +166,21 @@ def _architecture(config: AnyModelConfig) -> str:
         return "\n".join([*lines, "- Heads: none. Metric heads can be trained on it: `zoedepth train ... --init`."])
     lines += [
         f"- Heads: {len(config.domains)}, {_routing(config)}.",
+        f"- Camera: {_camera(config)}.",
         "",
         "| domain | nearest depth | farthest depth |",
         "|---|---|---|",
         *(f"| {_cell(domain.name)} | {domain.min_depth:g} m | {domain.max_depth:g} m |" for domain in config.domains),
     ]
     return "\n".join(lines)
+
+
+def _camera(config: AnyModelConfig) -> str:
+    if config.canonical_camera:
+        return "metres fit any lens whose focal length is known (one canonical camera)"
+    known = [f"{domain.focal_px:g} for {_one_line(domain.name)}" for domain in config.domains if domain.focal_px]
+    lens = f", whose focal lengths were, in pixels of the network's input: {', '.join(known)}" if known else ""
+    return f"metres hold for lenses like those of the training photos{lens}"
 
 
 def _routing(config: AnyModelConfig) -> str:
