@@ -37,6 +37,7 @@ def test_demo(
         assert (tmp_path / f"{name}_preview.jpg").is_file()
     with Image.open(tmp_path / "demo.png") as picture:
         assert min(picture.size) > 1000
+    assert "<title>coffee</title>" in (tmp_path / "coffee.html").read_text(encoding="utf-8")[:2000]
 
 
 def test_folder_that_cannot_be_written_to_is_refused_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

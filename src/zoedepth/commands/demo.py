@@ -16,6 +16,7 @@ from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.folders import check_writable
 from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
+from zoedepth.outputs.html import write_page_of_maps
 from zoedepth.outputs.ownership import has_own_mark
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 NAMES, ENDINGS = ("motorcycle", "rocket", "coffee"), ("_depth.png", "_preview.jpg")
 """The photographs, and the files of each."""
+SHEET, PAGE = "demo.png", "coffee.html"
+"""All photographs on one sheet, and one of them in three dimensions."""
 
 # The camera of the photo at the size scikit-image ships it (docstring of skimage.data.stereo_motorcycle).
 FOCAL_PX = 994.978
@@ -36,7 +39,7 @@ NYU_FOCAL_PX, NYU_WIDTH = 518.86, 640
 
 
 def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), model: str = "zoed-lite") -> int:
-    """Predict the depth of three photographs, and compare one with its measured depth.
+    """Predict the depth of three photographs, compare one with its measured depth, and show one in the browser.
 
     The photographs come with scikit-image; nothing is downloaded.
 
@@ -68,14 +71,19 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
     motorcycle = results["motorcycle"]
     console.print(_error_table(motorcycle.depth, truth))
     console.print(_focal_note(motorcycle.size[1]), soft_wrap=True)
-    write_image(out / "demo.png", _contact_sheet(results, truth))
-    console.print(f"Pictures: {out / 'demo.png'}; the depth and preview of each photo are beside it.", soft_wrap=True)
+    write_image(out / SHEET, _contact_sheet(results, truth))
+    write_page_of_maps(out / PAGE, results["coffee"].maps, title="coffee", most=100_000)
+    console.print(
+        f"Pictures: {out / SHEET}; the depth and preview of each photo are beside it, and {PAGE}: open that page in a "
+        "browser, and turn the cup.",
+        soft_wrap=True,
+    )
     return 0
 
 
 def _check_replaced(out: Path) -> None:
     """Refuse to replace files that this package has not written."""
-    for file in (out / "demo.png", *(out / f"{name}{ending}" for name in NAMES for ending in ENDINGS)):
+    for file in (out / SHEET, out / PAGE, *(out / f"{name}{ending}" for name in NAMES for ending in ENDINGS)):
         if os.path.lexists(file) and not has_own_mark(file):
             raise InputError(f"{file} is not from zoedepth, and would be replaced: choose another folder with --out")
 

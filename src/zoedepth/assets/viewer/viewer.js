@@ -4,6 +4,7 @@
 //     panorama, which is inside. outside: wherever all can be seen.
 //   #content: the file, base64.
 // The address may end in #angle=30: turned so far about the vertical, in degrees, and at rest; for pictures of it.
+// With #angle=30&bare there is nothing else in the picture.
 "use strict";
 
 (() => {
@@ -235,6 +236,9 @@
       if (event.key === " " && event.target.tagName !== "BUTTON") { event.preventDefault(); setMoving(!moving); }
     });
     const asked = /[#&]angle=(-?[\d.]+)/.exec(window.location.hash);
+    if (/[#&]bare/.test(window.location.hash)) {
+      for (const part of document.querySelectorAll("header, footer")) part.remove();
+    }
     turn(asked ? Number(asked[1]) : 0);
     setMoving(!asked && !window.matchMedia("(prefers-reduced-motion: reduce)").matches);
     requestAnimationFrame(frame);
