@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from zoedepth.depth_map import DepthMap
     from zoedepth.errors import InputError, ZoeDepthError
     from zoedepth.model.interface import DepthModel, DepthOutput
+    from zoedepth.panorama import PanoramaMap, predict_panorama
     from zoedepth.predict import Predictor
     from zoedepth.stored import read_depth
     from zoedepth.weights.load import ZoeDepth, available_models, load_model, push_to_hub, save_model
@@ -29,12 +30,14 @@ __all__ = [
     "DepthOutput",
     "InputError",
     "ModelConfig",
+    "PanoramaMap",
     "Predictor",
     "ZoeDepth",
     "ZoeDepthError",
     "available_models",
     "build_model",
     "load_model",
+    "predict_panorama",
     "push_to_hub",
     "read_depth",
     "save_model",
@@ -60,6 +63,10 @@ def __getattr__(name: str) -> object:
         value = getattr(interface, name)
     elif name == "DepthMap":
         from zoedepth.depth_map import DepthMap as value
+    elif name in ("PanoramaMap", "predict_panorama"):
+        from zoedepth import panorama
+
+        value = getattr(panorama, name)
     elif name == "Predictor":
         from zoedepth.predict import Predictor as value
     elif name in ("ZoeDepth", "available_models", "load_model", "push_to_hub", "save_model"):
