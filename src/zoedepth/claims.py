@@ -304,8 +304,8 @@ def _other_kind(start: bytes) -> str | None:
 
 _RAW = "it is a camera's raw file. Develop it to JPEG or TIFF, e.g. with darktable"
 _HEIC = (
-    "it is HEIC, as phones write it. Install the extra that reads it, pip install 'zoedepth[heic]', or save it as JPEG, "
-    "e.g. heif-convert PHOTO.heic PHOTO.jpg"
+    "it is HEIC, as phones write it. Install the extra that reads it, pip install 'zoedepth[heic]', or save it as "
+    "JPEG, e.g. heif-convert PHOTO.heic PHOTO.jpg"
 )
 _FILM = "it is a film. Take pictures out of it, e.g. ffmpeg -i FILM frames/%05d.png"
 _DOCUMENT = "it is a document. Save its picture as JPEG or PNG"

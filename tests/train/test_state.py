@@ -256,6 +256,8 @@ def other_values(config: TrainConfig) -> dict[str, object]:
         "domain_weight": 2.0,
         "chamfer_weight": 2.0,
         "window_chamfer_weight": 2.0,
+        "log_gradient_weight": 2.0,
+        "spread_weight": 2.0,
         "route_by_label": False,
         "trim": 0.5,
         "gradient_weight": 0.0,
