@@ -117,26 +117,29 @@ class TestMeasure:
 class TestCalibrate:
     def test_metres_are_put_right_and_the_rest_with_them(self) -> None:
         result = wall(depth_range=(0.1, 10.0))
-        found = result.calibrate([(10, 5, 2.5), (30, 20, 2.5), (50, 35, 2.5)])
-        np.testing.assert_allclose(found.depth, 2.5, rtol=1e-4)
-        np.testing.assert_allclose(found.std, 0.25, rtol=1e-4)
-        assert found.depth_range == pytest.approx((0.125, 12.5), rel=1e-4)
-        assert found.measure((10, 5), (40, 5)) == pytest.approx(2.5 * 30 / 50, rel=1e-4)
-        assert found.calibration.scale == pytest.approx(1.25, rel=1e-4)
+        found = result.calibrate(np.full((40, 60), 2.5, np.float32))
+        scale = found.calibration.scale
+        assert scale == pytest.approx(1.25, rel=0.02)
+        np.testing.assert_allclose(found.depth, 2 * scale, rtol=1e-6)
+        np.testing.assert_allclose(found.std, 0.2 * scale, rtol=1e-6)
+        assert found.depth_range == pytest.approx((0.1 * scale, 10 * scale), rel=1e-6)
+        assert found.measure((10, 5), (40, 5)) == pytest.approx(2 * scale * 30 / 50, rel=1e-6)
         assert (found.calibration.camera, found.calibration.domain) == (CAMERA, "indoor")
         assert result.calibration is None
         assert result.depth.max() == 2
 
     def test_a_tape_measure_goes_along_the_ray(self) -> None:
         result = wall()
-        metres = 1.5 * float(result.distance[0, 0])
-        assert result.calibrate([(0, 0, metres)], along_ray=True).calibration.scale == pytest.approx(1.5, rel=1e-4)
+        along_ray = result.calibrate([(0, 0, 1.5 * float(result.distance[0, 0]))], along_ray=True)
+        along_axis = result.calibrate([(0, 0, 1.5 * 2)])
+        assert along_ray.calibration.scale == pytest.approx(along_axis.calibration.scale, rel=1e-6)
+        assert 1.1 < along_axis.calibration.scale < 1.501
 
     def test_it_holds_for_other_photos_of_the_camera(self, tmp_path: Path) -> None:
         write_calibration(tmp_path / "camera.json", wall().calibrate([(10, 5, 3.0)]).calibration)
         calibration = read_calibration(tmp_path / "camera.json")
         other = dataclasses.replace(depth_map(std=None), camera=CAMERA)
-        np.testing.assert_allclose(other.calibrated(calibration).depth, 1.5 * other.depth, rtol=1e-4)
+        np.testing.assert_allclose(other.calibrated(calibration).depth, calibration.scale * other.depth, rtol=1e-6)
         assert other.calibrated(calibration).std is None
         with pytest.raises(InputError, match=r"does not hold for this photo: .*outdoor"):
             dataclasses.replace(wall(), domain="outdoor").calibrated(calibration)
@@ -158,6 +161,19 @@ class TestCalibrate:
         result.depth[5, 20] = np.nan
         with pytest.raises(InputError):
             result.calibrate([reading])
+
+
+def test_points_normals_and_mesh_are_those_of_the_surface() -> None:
+    result = wall()
+    result.depth[5, 20] = np.nan
+    np.testing.assert_allclose(result.points[0, 0], CAMERA.ray(0, 0) * 2, rtol=1e-6)
+    assert np.isnan(result.normals[5, 20]).all()
+    np.testing.assert_allclose(result.normals[result.valid], np.tile([0, 0, -1], (40 * 60 - 1, 1)), atol=1e-6)
+    mesh = result.mesh()
+    assert len(mesh.faces) == 2 * 39 * 59 - 4
+    np.testing.assert_allclose(mesh.vertices, result.points[result.valid], rtol=1e-6)
+    pytest.importorskip("fast_simplification")
+    assert len(result.mesh(max_triangles=300).faces) <= 300
 
 
 def test_save_writes_in_the_format_of_the_suffix(tmp_path: Path) -> None:

@@ -14,6 +14,8 @@ from zoedepth import colors
 from zoedepth.calibration import Calibration, Distance, Form, Point, calibrate
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.mesh import Mesh, build_mesh
+from zoedepth.geometry.normals import estimate_normals
 from zoedepth.geometry.points import unproject
 from zoedepth.images import DepthArray, ImageArray
 from zoedepth.outputs import Maps, Options, write_maps
@@ -105,6 +107,12 @@ class DepthMap:
         """The point in space that each pixel sees, metres: x to the right, y down, z forward, as in OpenCV."""
         return unproject(self.depth, self.camera)
 
+    @property
+    def normals(self) -> Float32[np.ndarray, "height width 3"]:
+        """The unit normal of the surface at each pixel, towards the camera, in the axes of ``points``; NaN where it is
+        not ``valid``."""
+        return estimate_normals(np.where(self.valid, self.depth, np.float32(np.nan)), self.camera)
+
     @cached_property
     def distance(self) -> DepthArray:
         """Metres from the camera to what each pixel sees, along its ray; depth is measured along the optical axis."""
@@ -188,6 +196,17 @@ class DepthMap:
             calibration=calibration,
         )
 
+    def mesh(self, *, max_triangles: int | None = Options.max_triangles) -> Mesh:
+        """Return the surface that the valid pixels see: triangles between neighbours, but not across jumps of depth.
+
+        Args:
+            max_triangles: triangles, at most; None keeps all, one or two for each pixel.
+
+        Raises:
+            MissingExtraError: there are more, and fast-simplification is not installed.
+        """
+        return build_mesh(self.depth, self.camera, valid=self.valid, max_triangles=max_triangles)
+
     def preview(self, *, vmin: float | None = None, vmax: float | None = None, colormap: str = "magma_r") -> ImageArray:
         """Return the photo beside its coloured depth with a bar in metres; see ``colors.preview``."""
         return colors.preview(self.image, self.depth, vmin=vmin, vmax=vmax, colormap=colormap)
@@ -202,12 +221,13 @@ class DepthMap:
         .npz holds ``depth``, ``std``, ``confidence``, ``valid`` and the ``intrinsics`` of the camera.
 
         .ply and .pcd hold the points of the valid pixels with colours and normals, .glb the surface as a mesh with the
-        photo on it, all in metres. .jpg, .jpeg and .webp hold the preview, a picture.
+        photo on it, all in metres, and .html a page for the browser that shows it. .jpg, .jpeg and .webp hold the
+        preview, a picture.
 
         Args:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
-            max_triangles: triangles of a .glb, at most. None keeps all, one or two for each pixel.
+            max_triangles: triangles of a .glb or .html, at most. None keeps all, one or two for each pixel.
 
         Raises:
             InputError: another suffix, or there is nothing to make points or a surface of.
