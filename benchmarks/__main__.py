@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import calibration, depthwise, inference, linear, outputs, peers, startup, synthetic
+from benchmarks import calibration, depthwise, flying, inference, linear, outputs, panorama, peers, startup, synthetic
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
@@ -12,6 +12,8 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "linear": linear.main,
     "synthetic": synthetic.main,
     "outputs": outputs.main,
+    "flying": flying.main,
+    "panorama": panorama.main,
     "peers": peers.main,
     "calibration": calibration.main,
 }

@@ -6,8 +6,8 @@ python -m benchmarks flying
 import numpy as np
 from rich.console import Console
 from rich.table import Table
-
 from tests.geometry.flying import blurred, draw_room
+
 from zoedepth.geometry.jumps import flying_pixels
 
 N_ROOMS, SIZE = 24, (480, 640)

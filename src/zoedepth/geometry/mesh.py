@@ -154,8 +154,8 @@ def check_triangles(max_triangles: int) -> None:
 def grid_step(size: tuple[int, ...], max_triangles: int | None) -> int:
     """Return how many pixels apart those are that a mesh of at most ``max_triangles`` is made of.
 
-    A grid has two triangles for each pixel. At most four times as many as are wanted are made, for ``simplify`` to leave
-    those out where the surface is flat; that takes a second or two for each million.
+    A grid has two triangles for each pixel. At most four times as many as are wanted are made, for ``simplify`` to
+    leave those out where the surface is flat; that takes a second or two for each million.
 
     Raises:
         InputError: ``max_triangles`` is below 1.
