@@ -505,6 +505,9 @@ def test_photo_without_a_camera_is_refused_by_name_or_taken_as_it_is() -> None:
     known = augment.assume_camera(80.0)(bare, rng())
     assert known.camera == Intrinsics(80.0, 80.0, 44.5, 29.5)
     assert augment.assume_camera(33.0)(known, rng()) is known
+    for focal_px in (0.0, -1.0, math.nan, math.inf):
+        with pytest.raises(InputError, match="focal_px must be above 0 and finite"):
+            augment.assume_camera(focal_px)
     disparity = replace(bare, kind="disparity")
     assert augment.canonical_camera({"indoor": 100.0}, data="rooms")(disparity, rng()) is disparity
 

@@ -174,7 +174,12 @@ def assume_camera(focal_px: float) -> Augmentation:
 
     Args:
         focal_px: focal length in pixels of the photo as it is.
+
+    Raises:
+        InputError: the focal length is not above 0 and finite.
     """
+    if not 0 < focal_px < math.inf:
+        raise InputError(f"focal_px must be above 0 and finite, in pixels of the photos; it is {focal_px}")
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         if sample.camera is not None:

@@ -81,7 +81,7 @@ class ModelSource:
         model: in evaluation mode, with or without metric heads.
         about: facts that tell it from others; see ``PredictionSource``.
         weights: a hash of its weights; scores that were made with others are made anew.
-        camera: what the model is told of the photos' cameras.
+        camera: the knowledge of the photos' cameras that the model is given.
 
     Raises:
         InputError: the model is to correct depth by the focal length, and its config does not say that of its training.
@@ -119,7 +119,7 @@ class ModelSource:
             name: see ``zoedepth.weights.load.load_model``.
             compat: behaviours of the original code to take over; see there, too.
             device: cpu, cuda, mps, or auto for the best there is.
-            camera: what the model is told of the photos' cameras.
+            camera: the knowledge of the photos' cameras that the model is given.
             progress: function to call while weights are downloaded; see there, too.
 
         Raises:

@@ -71,7 +71,7 @@ def summarise(
         scores: one for each image that did not fail.
         protocols: domain → protocol.
         n_failed: number of images that failed.
-        camera: what the source was told of the camera.
+        camera: the knowledge of the cameras that the source was given, "none" or "data".
 
     Raises:
         InputError: the domains' protocols average or align in different ways.
