@@ -75,7 +75,7 @@ def test_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_commands(workplace: Path) -> None:
     lines = commands("zoedepth")
-    assert {line.split()[1] for line in lines} == {"predict", "evaluate", "train", "export", "models"}
+    assert {line.split()[1] for line in lines} == {"predict", "view", "evaluate", "train", "export", "models"}
     for line in lines:
         # The commands as they are, except for the length of the training.
         if line.split()[1:3] == ["train", "finetune"]:
@@ -84,6 +84,7 @@ def test_commands(workplace: Path) -> None:
             line += " --config.steps 1 --config.batch-size 2 --config.n-workers 0"
         assert main(shlex.split(line)[1:]) == 0, line
     assert (workplace / "depth" / "photo_depth.png").is_file()
+    assert (workplace / "photo.html").is_file()
     assert (workplace / "runs/mine/README.md").is_file()
     assert (workplace / "depth" / "a_preview.jpg").is_file()
 
