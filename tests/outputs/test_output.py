@@ -72,6 +72,17 @@ def test_maps_must_fit_together() -> None:
             Maps(**wrong)
     with pytest.raises(InputError, match="one size"):
         Maps(depth=RAMP, image=IMAGE[:2])
+    with pytest.raises(InputError, match="one size"):
+        Maps(depth=RAMP, camera=CAMERA.resized((6, 8)))
+
+
+def test_depth_is_valid_where_it_is_finite_and_in_its_range() -> None:
+    depth = RAMP.copy()
+    depth[0, :3] = np.nan, np.inf, -1
+    np.testing.assert_array_equal(Maps(depth=depth).valid, [[0, 0, 0, 1], [1] * 4, [1] * 4])
+    in_range = Maps(depth=RAMP, depth_range=(float(RAMP[0, 1]), float(RAMP[2, 2]))).valid
+    np.testing.assert_array_equal(in_range, [[0, 0, 1, 1], [1] * 4, [1, 1, 1, 0]])
+    assert Maps(relative=RAMP).valid is None
 
 
 def test_panoramas_become_points_and_a_surface_all_around(tmp_path: Path) -> None:

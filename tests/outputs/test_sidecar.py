@@ -6,6 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.camera_files import read_camera
 from zoedepth.outputs import Maps
 from zoedepth.outputs.sidecar import describe, of_same_photo, write_sidecar
 
@@ -26,6 +28,15 @@ def test_of_metres() -> None:
         "files": {"depth": "a_depth.png"},
     }
     assert described(Maps(depth=DEPTH))["median_confidence"] is None
+
+
+def test_tells_the_camera_to_the_last_bit(tmp_path: Path) -> None:
+    camera = Camera((1, 3), 0.1 + 0.2, 1 / 3, 1e-7, 2.0000000000000004, "exif")
+    write_sidecar(tmp_path / "a.json", described(Maps(depth=DEPTH, camera=camera)))
+    assert json.loads((tmp_path / "a.json").read_text())["camera"] == {
+        "size": [1, 3], "fx": 0.1 + 0.2, "fy": 1 / 3, "cx": 1e-7, "cy": 2.0000000000000004, "source": "exif"
+    }  # fmt: skip
+    assert read_camera(tmp_path / "a.json", (1, 3)) == camera
 
 
 def test_of_relative_depth_has_no_metres() -> None:
