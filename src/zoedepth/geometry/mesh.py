@@ -178,7 +178,7 @@ def join(
         depth: metres; the diagonal of a square goes between the two corners that are nearer to each other.
         taken: pixels that may be corners.
         across: gaps between neighbours of a row that no triangle bridges, as ``jumps`` returns them.
-        along: the same for neighbours of a column.
+        along: gaps between neighbours of a column.
 
     Returns:
         Numbers of pixels, counted row by row, counterclockwise as the camera sees them.
