@@ -20,7 +20,7 @@ from zoedepth.images import DepthArray
 Form = Literal["scale", "scale-shift"]
 """scale: depth * scale. scale-shift: scale and shift of the logarithm of depth, which is scale * depth ** power."""
 
-SCALE_LEVEL, PIXEL_LEVEL = 0.9, 0.85
+SCALE_LEVEL, PIXEL_LEVEL = 0.95, 0.85
 """Probabilities, by what is known of errors, that are stated as ``COVERAGE``: photos have more ways to be wrong."""
 
 _PLACES = 16  # pixels along a side of the photo at which roughness is looked at
@@ -94,7 +94,7 @@ def calibrate(
         scale_error=math.expm1(posterior.reach(SCALE_LEVEL)),
         expected_error=math.expm1(posterior.pixel_reach(spreads, PIXEL_LEVEL, photo_variance=here)),
         error_elsewhere=math.expm1(posterior.pixel_reach(spreads, PIXEL_LEVEL, photo_variance=elsewhere)),
-        n_readings=len(new) + (0 if earlier is None else earlier.n_readings),
+        n_readings=len(together) + (0 if earlier is None else earlier.n_readings - len(earlier.readings)),
         middle=float(np.median(measured.depth[:, 0])),
         readings=tuple(
             replace(reading, after=float(metres), outlier=not fits)
@@ -118,16 +118,16 @@ def _fit(readings: Sequence[Reading], depth: Float[np.ndarray, " new"], measured
     names = [reading.photo for reading in readings]
     if len(set(names)) > 1:
         posterior, kept = fit_camera(ratios, spread, np.unique(names, return_inverse=True)[1])
-        return _Fit(math.exp(posterior.mean), 1.0, posterior, kept)
+        return _Fit(math.exp(posterior.middle), 1.0, posterior, kept)
     posterior, kept = fit_scale(ratios, spread)
     if form == "scale-shift":
         if not measured.single:
             raise InputError("a distance of two points tells the scale alone: for scale-shift, give points")
         if len(depth) >= MIN_READINGS and power_helps(depth, ratios, spread, posterior.sigma):
             line = fit_line(depth, ratios, spread)
-            scale = math.exp(line.posterior.mean - (line.power - 1) * line.middle)
+            scale = math.exp(line.posterior.middle - (line.power - 1) * line.middle)
             return _Fit(scale, line.power, line.posterior, line.kept)
-    return _Fit(math.exp(posterior.mean), 1.0, posterior, kept)
+    return _Fit(math.exp(posterior.middle), 1.0, posterior, kept)
 
 
 def _others(earlier: Calibration, photo: str, camera: Camera | None, form: Form) -> tuple[Reading, ...]:
@@ -146,10 +146,11 @@ def _others(earlier: Calibration, photo: str, camera: Camera | None, form: Form)
 
 
 def _spreads(depth: DepthArray, known: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, " pixels"]:
-    """Return the spread of the error at pixels evenly spread over the photo."""
+    """Return how uncertain pixels are that stand for all of the photo."""
     rows, columns = (np.linspace(0, side - 1, min(side, _PLACES)).round().astype(int) for side in depth.shape)
     rows, columns = (places.ravel() for places in np.meshgrid(rows, columns, indexing="ij"))
     here = known[rows, columns]
     if not here.any():
         return np.ones(1)
-    return spread_of(roughness_at(depth, known, rows[here], columns[here]))
+    spreads = spread_of(roughness_at(depth, known, rows[here], columns[here]))
+    return np.quantile(spreads, (np.arange(_PLACES) + 0.5) / _PLACES)

@@ -1,15 +1,15 @@
 """What readings tell of a scale, by Bayes' rule, on top of what is known of the errors of models.
 
-A reading is one sample of the model's errors, and no truth about its scale. So the scale is the mean of what the
-readings and two pieces of experience say together:
+A reading is one sample of the model's errors, and no truth about its scale. So the scale is what is as likely
+too large as too small, by the readings and two pieces of experience together:
 
 - log(truth / depth) at a pixel is spread around that of its photo as Student's t with 4 degrees of freedom: most pixels
   agree well, some err wildly. The spread differs from photo to photo, and where depth changes fast it is larger.
 - The scale of a photo is about right where the lens is like that of the training photos, and can be anything where it
   is not; there, pixels err more, too.
 
-One reading that is a little off moves the scale a part of the way, one that is far off, or many that agree, all of the
-way; one among many that is far off hardly moves it, and is named. All is reckoned in the logarithm of depth, for the
+One reading that is a little off moves the scale half of the way, one that is far off, or many that agree, nearly all of
+it; one among many that is far off hardly moves it, and is named. All is reckoned in the logarithm of depth, for the
 error of a depth is a factor rather than a number of metres.
 """
 
@@ -40,7 +40,7 @@ _DEGREES = 4  # of freedom
 _MIN_TO_JUDGE = 3  # of two readings that differ nobody knows which is wrong
 _SIGMAS = 0.14 * np.exp(np.linspace(-1.4, 1.7, 14))  # sizes of errors
 _REACHES = np.geomspace(0.01, 5, 100)
-_STEPS = 601  # of the grid of log scales
+_STEPS = 401  # of the grid of log scales
 _MARGIN = 1.0  # of the grid on both sides of the readings
 _UNLIKELY = 1e-9
 
@@ -52,14 +52,15 @@ class Posterior(NamedTuple):
     probability: Float[np.ndarray, "scales sigmas"]
 
     @property
-    def mean(self) -> float:
-        """The mean of the log scale."""
-        return float(self.probability.sum(axis=1) @ self.grid)
+    def middle(self) -> float:
+        """The median of the log scale: it is as likely larger as smaller."""
+        scales = self.probability.sum(axis=1)
+        return float(np.interp(0.5, np.cumsum(scales) - scales / 2, self.grid))
 
     @property
     def variance(self) -> float:
-        """The variance of the log scale."""
-        return float(self.probability.sum(axis=1) @ (self.grid - self.mean) ** 2)
+        """The mean square of the distance of the log scale from its median."""
+        return float(self.probability.sum(axis=1) @ (self.grid - self.middle) ** 2)
 
     @property
     def sigma(self) -> float:
@@ -67,8 +68,8 @@ class Posterior(NamedTuple):
         return math.exp(float(self.probability.sum(axis=0) @ np.log(_SIGMAS)))
 
     def reach(self, probability: float) -> float:
-        """Return the distance from the mean within which the log scale lies with this probability."""
-        distance = np.abs(self.grid - self.mean)
+        """Return the distance from the median within which the log scale lies with this probability."""
+        distance = np.abs(self.grid - self.middle)
         order = np.argsort(distance)
         return float(np.interp(probability, np.cumsum(self.probability.sum(axis=1)[order]), distance[order]))
 
@@ -100,14 +101,14 @@ def fit_scale(
     kept = np.ones(len(ratios), bool)
     posterior = _posterior(ratios, spread)
     while kept.sum() >= _MIN_TO_JUDGE and 2 * (kept.sum() - 1) > len(ratios):
-        error = np.abs(ratios - posterior.mean) / spread
+        error = np.abs(ratios - posterior.middle) / spread
         fits = kept & (error <= OUTLIER * posterior.sigma)
         if (fits == kept).all():  # a wrong one may hide behind the size of errors that it makes itself
             fits[np.where(kept, error, 0).argmax()] = False
         if 2 * fits.sum() <= len(ratios):
             break
         posterior_of_others = _posterior(ratios[fits], spread[fits])
-        error = np.abs(ratios - posterior_of_others.mean) / spread
+        error = np.abs(ratios - posterior_of_others.middle) / spread
         fits = kept & (error <= OUTLIER * posterior_of_others.sigma)
         if (fits == kept).all() or 2 * fits.sum() <= len(ratios):
             break
@@ -132,29 +133,20 @@ def fit_camera(
     """
     grid = _grid(ratios)
     kept = np.ones(len(ratios), bool)
-    lenses = {lens: _log_scale(grid, lens) for lens in SCALE_ERROR}
-    sizes = {lens: np.zeros((len(grid), len(_SIGMAS))) for lens in SCALE_ERROR}
-    distance = grid[:, None] - grid
-    among_photos = np.exp(-((distance / PHOTO_ERROR) ** 2) / 2)
+    log = _log_prior(grid)
+    among_photos = np.exp(-(((grid[:, None] - grid) / PHOTO_ERROR) ** 2) / 2)
     for photo in np.unique(photos):
         here = photos == photo
         kept[here] = fit_scale(ratios[here], spread[here])[1]
         here &= kept
         likelihood = _log_likelihood(grid, ratios[here], spread[here])
-        for lens in lenses:
-            # The scale of the photo is that of the camera and something more.
-            joint = among_photos @ np.exp(likelihood - likelihood.max() + _log_size(lens))
-            total = joint.sum(axis=1, keepdims=True)
-            lenses[lens] = lenses[lens] + np.log(total[:, 0])
-            sizes[lens] += joint / total
-    most = max(values.max() for values in lenses.values())
-    probability = np.zeros((len(grid), len(_SIGMAS)))
-    for lens, values in lenses.items():
-        probability += np.exp(values - most)[:, None] * sizes[lens]
-    posterior = Posterior(grid, probability / probability.sum())
+        # The scale of a photo is that of the camera and something of its own.
+        most = likelihood.max(axis=0)
+        log += np.log(among_photos @ np.exp(likelihood - most)) + most
+    posterior = _normalized(grid, log)
     size = np.hypot(posterior.sigma * spread, PHOTO_ERROR)
     if len(ratios) >= _MIN_TO_JUDGE:
-        kept &= np.abs(ratios - posterior.mean) <= OUTLIER * size
+        kept &= np.abs(ratios - posterior.middle) <= OUTLIER * size
     return posterior, kept
 
 
@@ -173,8 +165,10 @@ def _grid(ratios: Float[np.ndarray, " readings"]) -> Float[np.ndarray, " scales"
 def _on_grid(
     grid: Float[np.ndarray, " scales"], ratios: Float[np.ndarray, " readings"], spread: Float[np.ndarray, " readings"]
 ) -> Posterior:
-    same, other = (_log_scale(grid, lens)[:, None] + _log_size(lens) for lens in SCALE_ERROR)
-    log = np.logaddexp(same, other) + _log_likelihood(grid, ratios, spread)
+    return _normalized(grid, _log_prior(grid) + _log_likelihood(grid, ratios, spread))
+
+
+def _normalized(grid: Float[np.ndarray, " scales"], log: Float[np.ndarray, "scales sigmas"]) -> Posterior:
     probability = np.exp(log - log.max())
     return Posterior(grid, probability / probability.sum())
 
@@ -188,6 +182,12 @@ def _log_likelihood(
     for column, sigma in enumerate(_SIGMAS):
         log[:, column] = -(_DEGREES + 1) / 2 * np.log1p(square / sigma**2).sum(axis=0) - len(ratios) * math.log(sigma)
     return log
+
+
+def _log_prior(grid: Float[np.ndarray, " scales"]) -> Float[np.ndarray, "scales sigmas"]:
+    """Return the logarithm of how likely log scales and sizes of errors are before any reading."""
+    same, other = (_log_scale(grid, lens)[:, None] + _log_size(lens) for lens in SCALE_ERROR)
+    return np.logaddexp(same, other)
 
 
 def _log_scale(grid: Float[np.ndarray, " scales"], lens: str) -> Float[np.ndarray, " scales"]:

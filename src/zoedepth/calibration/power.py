@@ -16,12 +16,13 @@ MIN_READINGS = 5
 """Number of readings below which there is no power."""
 
 _DEGREES = 4  # of freedom of Student's t
-_ROUNDS = 50
+_PASSES, _ROUNDS = 4, 50
+_CONVERGED = 1e-4
 _PARTS = 10
 
 
 class Line(NamedTuple):
-    """log(truth / depth) = the mean of ``posterior`` + (power - 1) * (log depth - middle)."""
+    """log(truth / depth) = the middle of ``posterior`` + (power - 1) * (log depth - middle)."""
 
     power: float
     middle: float
@@ -29,7 +30,7 @@ class Line(NamedTuple):
     kept: Bool[np.ndarray, " readings"]
 
     def at(self, depth: Float[np.ndarray, " readings"]) -> Float[np.ndarray, " readings"]:
-        return self.posterior.mean + (self.power - 1) * (depth - self.middle)
+        return self.posterior.middle + (self.power - 1) * (depth - self.middle)
 
 
 def fit_line(
@@ -38,20 +39,36 @@ def fit_line(
     spread: Float[np.ndarray, " readings"],
 ) -> Line:
     """Fit a power to readings, given the logarithm of depth: least squares, where what fits badly counts less."""
+    slope, middle = 0.0, float(np.median(depth))
     posterior, kept = fit_scale(ratios, spread)
-    x, y, size = depth[kept], ratios[kept], spread[kept] * posterior.sigma
-    slope, tail = 0.0, np.ones(len(x))
+    for _ in range(_PASSES):  # the errors get smaller when the line is known, and what fits changes
+        before = slope
+        slope = _slope(depth[kept], ratios[kept], spread[kept] * posterior.sigma, slope)
+        posterior, kept = fit_scale(ratios - slope * (depth - middle), spread)
+        if abs(slope - before) < _CONVERGED:
+            break
+    return Line(1 + slope, middle, posterior, kept)
+
+
+def _slope(
+    x: Float[np.ndarray, " readings"],
+    y: Float[np.ndarray, " readings"],
+    size: Float[np.ndarray, " readings"],
+    slope: float,
+) -> float:
+    """Return the slope of a line by weighted least squares, drawn towards 0 as ``POWER`` says."""
+    offset = float(np.median(y - slope * x))
     for _ in range(_ROUNDS):
+        tail = (_DEGREES + 1) / (_DEGREES + ((y - offset - slope * x) / size) ** 2)
         weights = tail / size**2
         x_mean, y_mean = np.average(x, weights=weights), np.average(y, weights=weights)
         covariance = np.sum(weights * (x - x_mean) * (y - y_mean))
         estimate = float(covariance / (np.sum(weights * (x - x_mean) ** 2) + POWER**-2))
         before, slope = slope, min(max(estimate, LIMITS[0] - 1), LIMITS[1] - 1)
-        tail = (_DEGREES + 1) / (_DEGREES + ((y - y_mean - slope * (x - x_mean)) / size) ** 2)
-        if abs(slope - before) < 1e-6:
+        offset = float(y_mean - slope * x_mean)
+        if abs(slope - before) < _CONVERGED:
             break
-    middle = float(np.median(x))
-    return Line(1 + slope, middle, *fit_scale(ratios - slope * (depth - middle), spread))
+    return slope
 
 
 def power_helps(
@@ -69,7 +86,7 @@ def power_helps(
     for part in np.array_split(np.arange(len(depth)), min(len(depth), _PARTS)):
         others = np.ones(len(depth), bool)
         others[part] = False
-        scale = fit_scale(ratios[others], spread[others])[0].mean
+        scale = fit_scale(ratios[others], spread[others])[0].middle
         line = fit_line(depth[others], ratios[others], spread[others])
         size = sigma * spread[part]
         by_scale, by_line = ratios[part] - scale, ratios[part] - line.at(depth[part])

@@ -145,9 +145,11 @@ def measure(
             raise InputError(
                 f"the reading {_name(*listed[row])} is at a pixel without valid depth: measure at another place"
             )
-        near, middle, far = _around(depth, known, rows, columns)
-        roughness[here, i] = np.log(far / near)
-        depths[here, i] = np.where(far > JUMP * near, middle, depth[rows, columns])
+        around = _around(depth, known, rows, columns)
+        roughness[here, i] = _roughness(around)
+        jump = roughness[here, i] > math.log(JUMP)
+        depths[here, i] = depth[rows, columns]
+        depths[np.array(here)[jump], i] = np.nanmedian(around[jump], axis=1)
     for row, (points, metres) in enumerate(listed):
         if len(points) == 2 and camera is None:
             raise InputError(f"the distance {_name(points, metres)} needs the camera: pass camera=")
@@ -189,8 +191,7 @@ def roughness_at(
     columns: Int[np.ndarray, " places"],
 ) -> Float[np.ndarray, " places"]:
     """Return the logarithm of the farthest over the nearest depth around pixels with known depth."""
-    near, _, far = _around(depth, known, rows, columns)
-    return np.log(far / near)
+    return _roughness(_around(depth, known, rows, columns))
 
 
 def spread_of(roughness: Float[np.ndarray, "*places"]) -> Float[np.ndarray, "*places"]:
@@ -249,14 +250,17 @@ def _around(
     known: Bool[np.ndarray, "height width"],
     rows: Int[np.ndarray, " places"],
     columns: Int[np.ndarray, " places"],
-) -> tuple[Float[np.ndarray, " places"], Float[np.ndarray, " places"], Float[np.ndarray, " places"]]:
-    """Return the nearest, the middle and the farthest depth in the squares around pixels."""
+) -> Float[np.ndarray, "places pixels"]:
+    """Return the depths in the squares around pixels, NaN where there is none."""
     reach = max(1, round(_WINDOW * min(depth.shape)))
     down, across = (places.ravel() for places in np.mgrid[-reach : reach + 1, -reach : reach + 1])
     rows = (rows[:, None] + down).clip(0, depth.shape[0] - 1)
     columns = (columns[:, None] + across).clip(0, depth.shape[1] - 1)
-    around = np.where(known[rows, columns], depth[rows, columns], np.nan).astype(np.float64)
-    return np.nanmin(around, axis=1), np.nanmedian(around, axis=1), np.nanmax(around, axis=1)
+    return np.where(known[rows, columns], depth[rows, columns], np.nan).astype(np.float64)
+
+
+def _roughness(around: Float[np.ndarray, "places pixels"]) -> Float[np.ndarray, " places"]:
+    return np.log(np.nanmax(around, axis=1) / np.nanmin(around, axis=1))
 
 
 def _name(points: tuple[tuple[float, float], ...], metres: float) -> str:
