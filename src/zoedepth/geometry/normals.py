@@ -29,8 +29,15 @@ def estimate_normals(depth: Float[np.ndarray, "height width"], camera: Camera) -
     slope_y = slope(inverse.T, ~along.T).T * np.float32(camera.fy)
     columns = ((np.arange(camera.size[1]) - camera.cx) / camera.fx).astype(np.float32)
     rows = ((np.arange(camera.size[0]) - camera.cy) / camera.fy).astype(np.float32)
-    normals = np.stack([-slope_x, -slope_y, slope_x * columns[None] + slope_y * rows[:, None] - inverse], axis=-1)
-    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.empty((*depth.shape, 3), np.float32)
+    np.negative(slope_x, out=normals[..., 0])
+    np.negative(slope_y, out=normals[..., 1])
+    slope_x *= columns[None]
+    slope_y *= rows[:, None]
+    slope_x += slope_y
+    np.subtract(slope_x, inverse, out=normals[..., 2])
+    length = np.sqrt(np.einsum("hwc,hwc->hw", normals, normals))
+    normals /= length[..., None]
     return normals
 
 
@@ -38,11 +45,12 @@ def slope(
     values: Float32[np.ndarray, "rows columns"], same: Bool[np.ndarray, "rows gaps"]
 ) -> Float32[np.ndarray, "rows columns"]:
     """Return the slope of each row, from the neighbours that are on the same surface; 0 without one."""
-    steps = np.where(same, np.diff(values, axis=1), 0)
+    steps = np.diff(values, axis=1)
+    steps[~same] = 0
     total = np.zeros_like(values)
     total[:, 1:] += steps
     total[:, :-1] += steps
-    count = np.zeros(values.shape, np.float32)
-    count[:, 1:] += same
-    count[:, :-1] += same
-    return total / np.maximum(count, 1)
+    count = np.ones(values.shape, np.float32)
+    count[:, 1:-1] += same[:, 1:] & same[:, :-1]
+    total /= count
+    return total
