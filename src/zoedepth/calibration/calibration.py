@@ -45,7 +45,7 @@ class Calibration:
     """Relative error of the depth at one pixel of the calibrated photo: for four pixels of five (``COVERAGE``), the
     truth lies between ``depth / (1 + expected_error)`` and ``depth * (1 + expected_error)``."""
     error_elsewhere: float = 0.0
-    """The same for other photos of this camera. Where one photo was measured it is larger."""
+    """Relative error of other photos of this camera, likewise. Where one photo was measured it is larger."""
     n_readings: int = 0
     """Number of readings, outliers included."""
     middle: float = 1.0
@@ -133,7 +133,7 @@ class Calibration:
             camera: the camera of the photo.
             network: name of the model.
             domain: scene type whose head makes the depth.
-            focal_corrected: whether the depth is corrected by the focal length.
+            focal_corrected: True where the depth is corrected by the focal length.
         """
         found = []
         if self.camera is not None and camera is not None and (reason := other_camera(self.camera, camera)):

@@ -1,4 +1,4 @@
-"""What readings tell of a scale, by Bayes' rule, on top of what is known of the errors of models.
+"""Tell the scale from readings, by Bayes' rule, on top of what is known of the errors of models.
 
 A reading is one sample of the model's errors, and no truth about its scale. So the scale is what is as likely
 too large as too small, by the readings and two pieces of experience together:

@@ -41,9 +41,9 @@ class Reading:
     metres: float
     """Measured metres: depth along the optical axis, or the distance of the two points."""
     before: float
-    """The same from the depth as it was, metres."""
+    """Metres that the depth as it was gives there."""
     after: float
-    """The same from the calibrated depth, metres."""
+    """Metres that the calibrated depth gives there."""
     outlier: bool = False
     """True where it does not fit the other readings, and was left out."""
     at_jump: bool = False

@@ -89,7 +89,7 @@ def _write_container(path: str | Path, document: dict[str, Any], parts: list[byt
     Args:
         path: where to write.
         document: the JSON without the places of the parts, which are added.
-        parts: what its bufferViews show, in their order.
+        parts: bytes of its bufferViews, in their order.
         targets: what the first of them are for, as glTF numbers it.
 
     Raises:
