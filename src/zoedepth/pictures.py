@@ -25,7 +25,7 @@ _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 
 @dataclass(frozen=True)
 class PhotoNotes:
-    """What a photo's file says about the photo, beside its pixels. Anybody may have written it, and it may be wrong."""
+    """The notes in a photo's file about the photo, beside its pixels. Anybody may have written it, and it may be wrong."""
 
     tags: Mapping[int, object] = field(default_factory=dict)
     """EXIF's values by the numbers of their tags, those of the main and those of the Exif directory together. The
@@ -84,7 +84,7 @@ def has_whole_exif(picture: Image.Image) -> bool:
 
 
 class _Walk(NamedTuple):
-    """What a walk through the directories of EXIF has found."""
+    """The findings of a walk through the directories of EXIF."""
 
     whole: bool
     """False where a directory or a value lies beyond the end."""

@@ -90,7 +90,7 @@ def _write_container(path: str | Path, document: dict[str, Any], parts: list[byt
         path: where to write.
         document: the JSON without the places of the parts, which are added.
         parts: bytes of its bufferViews, in their order.
-        targets: what the first of them are for, as glTF numbers it.
+        targets: uses of the first of them, as glTF numbers uses.
 
     Raises:
         InputError: they are too large for the format.

@@ -25,7 +25,7 @@ def make_panorama(
 
     Args:
         domain: "indoor" or "outdoor".
-        height: of the panorama, pixels; it is twice as wide.
+        height: rows of the panorama; it is twice as wide.
         rng: draws everything.
 
     Returns:

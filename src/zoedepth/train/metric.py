@@ -78,7 +78,7 @@ def metric_losses(
     configuration weighs them; cross-entropy against the domain labels where the router has scores.
 
     Args:
-        output: what the model says of the batch; with ``std`` where the configuration weighs its error.
+        output: output of the model for the batch, with ``std`` where the configuration weighs its error.
         batch: the samples.
         config: the weights of the terms.
         sources: the data sets of the training, in the order that ``batch.source`` counts.
