@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.geometry.test_exif import FILM_LENGTH, photo_of
 
+from zoedepth.calibration import is_calibrated, read_calibration
 from zoedepth.cli import main
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.sidecar import read_sidecar
@@ -67,3 +69,23 @@ def test_cameras(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (program,) = blocks("cameras.md", "python")
     exec(program, {})
     assert capsys.readouterr().out.splitlines()[0].startswith("exif 67.")
+
+
+def test_calibration(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for photo in ("b", "c"):
+        photo_of(workplace / "photos" / f"{photo}.jpg", (640, 480), {FILM_LENGTH: 26})
+    sparse = np.zeros((480, 640), np.uint16)
+    sparse[::40, ::40] = 2000
+    Image.fromarray(sparse).save(workplace / "sparse.png")
+    for words in commands("calibration.md"):
+        options = [] if "--undo" in words else ["--no-flip", "--domain", "indoor"]
+        assert main([*words, *options]) == 0, words
+    assert read_calibration("camera.json").n_photos == 3
+    assert is_calibrated(workplace / "depth" / "photo.json")
+    assert not is_calibrated(workplace / "depth" / "photos" / "a.json")
+    (program,) = blocks("calibration.md", "python")
+    capsys.readouterr()
+    exec(program, {})
+    scale, scale_error, expected_error = map(float, capsys.readouterr().out.splitlines()[0].split())
+    assert scale > 0
+    assert expected_error > scale_error > 0
