@@ -25,7 +25,7 @@ _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 
 @dataclass(frozen=True)
 class PhotoNotes:
-    """The notes in a photo's file about the photo, beside its pixels. Anybody may have written it, and it may be wrong."""
+    """The notes in a photo's file beside its pixels. Anybody may have written it, and it may be wrong."""
 
     tags: Mapping[int, object] = field(default_factory=dict)
     """EXIF's values by the numbers of their tags, those of the main and those of the Exif directory together. The

@@ -124,8 +124,8 @@ def test_outputs_are_named_by_word_or_suffix_with_or_without_commas(
 
 
 def test_output_that_does_not_exist_is_told_with_those_that_do() -> None:
-    with pytest.raises(InputError, match="no output 'preveiw': did you mean preview"):
-        output_names(["depth,preveiw"])
+    with pytest.raises(InputError, match="no output 'previeww': did you mean preview"):
+        output_names(["depth,previeww"])
 
 
 @EVERY
