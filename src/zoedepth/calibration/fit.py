@@ -20,7 +20,7 @@ from zoedepth.images import DepthArray
 Form = Literal["scale", "scale-shift"]
 """scale: depth * scale. scale-shift: scale and shift of the logarithm of depth, which is scale * depth ** power."""
 
-SCALE_LEVEL, PIXEL_LEVEL = 0.95, 0.85
+SCALE_LEVEL, PIXEL_LEVEL = 0.95, 0.88
 """Probabilities, by what is known of errors, that are stated as ``COVERAGE``: photos have more ways to be wrong."""
 
 _PLACES = 16  # pixels along a side of the photo at which roughness is looked at
@@ -40,7 +40,7 @@ def calibrate(
     """Find the scale that brings a depth map to what was measured.
 
     The result holds for this photo. With the readings of other photos (``earlier``) it holds for their camera: scales
-    of photos of one camera differ by 12 % or so (``posterior.PHOTO_ERROR``), so that one tells little of the others.
+    of photos of one camera scatter by 15 % (``posterior.PHOTO_ERROR``), so that one tells little of the others.
 
     Args:
         depth: (height, width), metres, as the model gives it.

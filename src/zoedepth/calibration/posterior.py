@@ -30,7 +30,7 @@ SAME_LENS = 0.4
 SCALE_ERROR = {"same lens": 0.1, "other lens": 0.4}
 """Standard deviation of the log scale of photos with the same lens (measured: 0.03 on KITTI 2015, 0.12 on NYU's test
 set), and half width of Cauchy's distribution of that of others: half of those are within a factor of 1.5."""
-PHOTO_ERROR = 0.12
+PHOTO_ERROR = 0.15
 """Standard deviation of the log scale of the photos of one camera around that of the camera. Measured: 0.03 on KITTI
 2015, 0.12 on NYU's test set, 0.15 in the kitchen and in the apartment."""
 OUTLIER = 3.5
