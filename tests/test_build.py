@@ -15,7 +15,7 @@ from tests.baselines.test_baseline import CONFIGS
 from tests.model.heads import test_adabins, test_bts, test_dorn, test_naive, test_newcrfs, test_pixelbins, test_splitter
 
 from zoedepth.baselines import BASELINES
-from zoedepth.build import build_model
+from zoedepth.build import build_model, without_memory
 from zoedepth.config import BaselineConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model import timm_encoder
@@ -46,10 +46,25 @@ def test_a_config_becomes_its_network_in_training_mode(tiny_config: ModelConfig)
 
 @pytest.mark.parametrize("config", CONFIGS, ids=lambda config: type(config.network).__name__)
 def test_a_config_of_a_baseline_becomes_the_baseline(config: BaselineConfig):
-    with torch.device("meta"):
+    with without_memory():
         model = build_model(config)
     assert type(model) is BASELINES[type(config.network)]
     assert model.config == config
+
+
+@pytest.mark.parametrize("kind", ["zoedepth", "baseline"])
+def test_without_memory_there_are_the_same_weights_but_their_values(kind: str, tiny_config: ModelConfig):
+    config = tiny_config if kind == "zoedepth" else CONFIGS[0]
+    model = build_model(config)
+    with without_memory():
+        empty = build_model(config)
+        assert torch.ones(1, device="cpu").mul_(2) == 2, "what has memory is changed as ever"
+    assert all(value.is_meta for value in empty.state_dict().values())
+    shapes = [
+        {name: (value.shape, value.dtype) for name, value in each.state_dict().items()} for each in (model, empty)
+    ]
+    assert shapes[0] == shapes[1]
+    assert not any(value.is_meta for value in build_model(config).state_dict().values()), "the context has ended"
 
 
 def test_built_and_loaded_models_are_made_of_the_same_layers(tiny_config: ModelConfig, tmp_path: Path):
@@ -84,7 +99,7 @@ class TestPickling:
 
     @pytest.mark.parametrize("name", ONE_OF_EACH)
     def test_every_network_comes_back_in_a_process_that_has_built_none(self, name: str):
-        with torch.device("meta"):
+        with without_memory():
             model = build_model(ONE_OF_EACH[name])
         content = pickle.dumps(model)
         assert [type(x) for x in copy.deepcopy(model).modules()] == [type(x) for x in model.modules()]
@@ -147,11 +162,10 @@ class TestOtherNumberTypes:
         check_other_number_types(build_model(replace(tiny_config, head=head.TINY)).eval(), (64, 96))
 
     @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float64])
-    def test_photos_of_a_predictor(self, dtype: torch.dtype):
-        model = load_model("zoed-lite")
+    def test_photos_of_a_predictor(self, dtype: torch.dtype, tiny_model: ZoeDepth):
         photo = np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)
-        expected = Predictor(model)(photo).depth
-        found = Predictor(model.to(dtype))(photo).depth
+        expected = Predictor(tiny_model)(photo).depth
+        found = Predictor(tiny_model.to(dtype))(photo).depth
         assert found.dtype == np.float32
         assert np.abs(found / expected - 1).mean() < 0.02
 

@@ -1,9 +1,7 @@
 """``zoedepth evaluate``: how its options choose protocols and sources, and what it prints and writes."""
 
 import json
-import os
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import asdict, fields, replace
@@ -14,6 +12,7 @@ import pytest
 import torch
 from PIL import Image
 from tests.folders import write_disparity_pairs, write_pairs
+from tests.processes import beside
 
 from zoedepth.cli import main
 from zoedepth.config import ModelConfig
@@ -484,20 +483,19 @@ class TestOutput:
             assert text in output
         assert all(len(line) <= columns or line == label for line in output.splitlines() if "┃" not in line)
 
-    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path):
+    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path, capsys):
         """Failures of the second process, too."""
         path = write_pairs(tmp_path / "rooms", n=5, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
         (theirs / "test_001.npy").unlink()
         arguments = ["evaluate", "--predictions", str(theirs), "--data", str(path), "--no-pictures", "--out"]
         assert main([*arguments, str(tmp_path / "one")]) == 1
-        torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
-        done = subprocess.run(
-            [*torchrun, "-m", "zoedepth", *arguments, str(tmp_path / "two")],
-            capture_output=True, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )  # fmt: skip
-        assert done.returncode == 1
-        assert "failed: rooms, image 1" in done.stderr
+        command = [*arguments, str(tmp_path / "two")]
+        capsys.readouterr()
+        with beside(command) as codes:
+            assert main(command) == 1
+        assert codes == [0], "the first says how it went"
+        assert "failed: rooms, image 1" in capsys.readouterr().err
         one, two = (json.loads((tmp_path / name / "report.json").read_text())["results"] for name in ("one", "two"))
         assert one == two
         assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)

@@ -10,6 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from PIL import Image
+from tests.export.models import traced_once
 
 import zoedepth.export.write
 from zoedepth.cli import main
@@ -22,9 +23,10 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @pytest.fixture(scope="module")
 def lite_onnx(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Zoed-lite for ONNX Runtime."""
+    """Zoed-lite for ONNX Runtime, and beside it the graph that was traced for it."""
     path = tmp_path_factory.mktemp("lite") / "lite.onnx"
-    assert main(["export", "zoed-lite", "--to", "onnx", "--out", str(path)]) == 0
+    with traced_once(path.with_name("graph.onnx")):
+        assert main(["export", "zoed-lite", "--to", "onnx", "--out", str(path)]) == 0
     return path
 
 
@@ -39,7 +41,8 @@ def test_the_command_line_writes_and_reads_exported_files(
         Image.fromarray(coarse).resize((352, 256)).save(tmp_path / "photos" / name)
     photo, depth, xml = str(tmp_path / "photos/photo.png"), {}, str(tmp_path / "lite.xml")
     int8 = ["--int8", "--calibrate", str(tmp_path / "photos"), "--json"]
-    assert main(["export", "zoed-lite", "--to", "openvino", "--out", xml, *int8]) == 0
+    with traced_once(lite_onnx.with_name("graph.onnx")):
+        assert main(["export", "zoed-lite", "--to", "openvino", "--out", xml, *int8]) == 0
     said = json.loads(capsys.readouterr().out)  # nothing else is on standard output
     assert said["files"] == [xml, str(tmp_path / "lite.bin")]
     assert (said["format"], said["int8"], said["licence"]) == ("openvino", True, "non-commercial research")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from zoedepth.build import without_memory
 from zoedepth.config import (
     INDOOR,
     OUTDOOR,
@@ -115,7 +116,7 @@ def with_value(config: ModelConfig, kind: type, name: str, value: Any) -> ModelC
 
 @cache
 def shapes(config: ModelConfig) -> dict[str, tuple[int, ...]]:
-    with torch.device("meta"):
+    with without_memory():
         return {name: tuple(value.shape) for name, value in ZoeDepth(config).state_dict().items()}
 
 

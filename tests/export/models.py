@@ -1,15 +1,22 @@
 """Small models to export. Exporting takes seconds, most of them for the encoder: tests of heads take a flat one."""
 
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 import torch.nn.functional as F
 from tests.model.heads import test_bts, test_dorn, test_splitter
 from torch import Tensor, nn
 
+import zoedepth.export.write
 from zoedepth.build import build_model
 from zoedepth.config import Domain, ModelConfig
+from zoedepth.export.wrapper import ExportModel
 from zoedepth.model.encoder import EncoderFeatures
 from zoedepth.model.zoedepth import ZoeDepth
 
@@ -78,3 +85,18 @@ def balanced(model: ZoeDepth) -> ZoeDepth:
     last.weight *= 2 / (first - second).abs()
     last.bias[0] -= gaps().mean()
     return model
+
+
+@contextmanager
+def traced_once(graph: Path) -> Iterator[None]:
+    """Keep the ONNX graph that an export traces, or take it from there: every format that needs one has the same."""
+    trace = zoedepth.export.write._write_onnx
+
+    def kept(wrapped: ExportModel, path: Path) -> None:
+        if not graph.exists():
+            trace(wrapped, graph)
+        shutil.copy(graph, path)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(zoedepth.export.write, "_write_onnx", kept)
+        yield

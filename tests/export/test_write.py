@@ -5,9 +5,7 @@ Exporting takes seconds: one file of each kind is made once for the whole module
 
 import json
 import os
-import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,7 +18,7 @@ from PIL import Image
 from tests.baselines import test_adabins, test_newcrfs
 from tests.baselines.base import build as build_baseline
 from tests.baselines.base import photos
-from tests.export.models import HEADS, PAIR, balanced, beit, flat
+from tests.export.models import HEADS, PAIR, balanced, beit, flat, traced_once
 from tests.model.test_encoder import TINY_SWIN
 from torch import Tensor, nn
 
@@ -72,21 +70,6 @@ def exports(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFactory) 
         return Export(model_of(name), graph, path, load_exported(path))
 
     return export
-
-
-@contextmanager
-def traced_once(graph: Path) -> Iterator[None]:
-    """Keep the ONNX graph that an export traces, or take it from there: every format that needs one has the same."""
-    trace = zoedepth.export.write._write_onnx
-
-    def kept(wrapped: ExportModel, path: Path) -> None:
-        if not graph.exists():
-            trace(wrapped, graph)
-        shutil.copy(graph, path)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(zoedepth.export.write, "_write_onnx", kept)
-        yield
 
 
 @FORMATS

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+from tests.baselines.base import ENCODER
 from tests.folders import write_disparity_pairs, write_pairs
 
 from zoedepth.config import (
@@ -121,13 +122,15 @@ def _shrunk_model(model: AnyModelConfig, tiny: ModelConfig) -> AnyModelConfig:
         encoder = model.encoder
         if encoder.family == "beit":
             encoder = tiny.encoder
+        elif encoder.family == "convolutional":
+            encoder = dataclasses.replace(encoder, name=ENCODER)
         elif encoder.family == "swin":
             encoder = dataclasses.replace(encoder, size=(64, 64), width=16, depth=(1, 1, 1, 1), heads=(1, 1, 2, 2))
         decoder = tiny.decoder if encoder.family != "convolutional" else model.decoder
         size = encoder.size if encoder.family == "swin" else (64, 96)
         return dataclasses.replace(model, encoder=encoder, decoder=decoder, head=head, size=size)
     size = (65, 97) if model.one_size else (64, 96)
-    network = dataclasses.replace(model.network, encoder="tf_efficientnet_lite0")
+    network = dataclasses.replace(model.network, encoder=ENCODER)
     if isinstance(network, NewCrfsNetworkConfig):
         network = dataclasses.replace(network, widths=(32, 16, 16, 8), attention_heads=(4, 2, 2, 1))
     if isinstance(network, BtsNetworkConfig):

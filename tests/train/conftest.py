@@ -47,6 +47,7 @@ def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
             "checkpoint_every": 2,
             "log_every": 1,
             "n_workers": 0,
+            "pictures": 0,
             # With this one the relative depth of the random tiny model is not 0 everywhere.
             "seed": 3,
         }

@@ -10,6 +10,7 @@ from typing import Literal
 
 import pytest
 import torch
+from tests.baselines.base import ENCODER
 from tests.folders import write_pairs
 from tests.train.runs import assert_same_checkpoint, log_of, on_reading, weights_of
 
@@ -132,7 +133,7 @@ def test_other_routers_train(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     model = dataclasses.replace(tiny_config, router=RouterConfig(kind, width=16))
-    config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0, pictures=0)
+    config = make_config(model=model, steps=2, route_by_label=kind == "labeled", domain_weight=0.0)
     labels: list[object] = []
     forward = ZoeDepth.forward
 
@@ -162,7 +163,7 @@ def test_processes_exchange_gradients_once_a_step(
     monkeypatch.setattr(stage, "backward", spy)
     name = "metric" if stage is metric else "relative"
     train = train_metric if stage is metric else train_relative
-    train(make_config(name, batch_size=6, accumulate=3, steps=2, pictures=0), data=data, out=tmp_path)
+    train(make_config(name, batch_size=6, accumulate=3, steps=2), data=data, out=tmp_path)
     assert complete == [False, False, True] * 2
 
 
@@ -311,7 +312,7 @@ def test_held_out_photos_are_validated_not_trained_on(
 ) -> None:
     names: list[str] = []
     on_reading(monkeypatch, lambda sample: names.append(Path(sample.name).name) or sample)
-    config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2, pictures=0)
+    config = make_config(steps=3, batch_size=4, holdout=1, validate_every=2)
     train_metric(config, data=data, out=tmp_path, init=None)
 
     lines = [line for line in log_of(tmp_path) if "validation/indoor/rel" in line]
@@ -373,8 +374,8 @@ def test_photos_without_any_depth_leave_a_finite_model(make_config: MakeConfig, 
 
 @pytest.fixture(scope="module")
 def lite_config(tiny_config: ModelConfig) -> ModelConfig:
-    """EfficientNet-Lite0, which has batch norms, under the tiny decoder and heads."""
-    encoder = EncoderConfig("tf_efficientnet_lite0", "convolutional", size=(224, 224))
+    """timm's smallest EfficientNet, which has batch norms, under the tiny decoder and heads."""
+    encoder = EncoderConfig(ENCODER, "convolutional", size=(224, 224))
     return dataclasses.replace(tiny_config, encoder=encoder)
 
 
@@ -391,7 +392,7 @@ def test_batch_norm_statistics_stay_where_they_are_frozen(
 
     before, after = start.state_dict(), load_model(last).state_dict()
     statistics = [name for name in before if "running_" in name]
-    assert len(statistics) > 50
+    assert len(statistics) > 20
     assert all(torch.equal(before[name], after[name]) for name in statistics) == frozen
     assert any(not torch.equal(before[n], after[n]) for n, _ in start.encoder.named_parameters(prefix="encoder"))
 

@@ -56,13 +56,13 @@ def test_training_lines_have_rates_and_speeds(start_run: StartRun) -> None:
 def test_validation_is_that_of_the_moving_average(start_run: StartRun, monkeypatch: pytest.MonkeyPatch) -> None:
     models = []
     monkeypatch.setattr(module, "validate", lambda model, data, *, stage: models.append((model, stage)) or {})
-    run = start_run(holdout=1, steps=1, pictures=0, ema_decay=0.5)
+    run = start_run(holdout=1, steps=1, ema_decay=0.5)
     take(run, 1)
     assert models == [(run.state.ema.module, "metric")]
 
 
 def test_nothing_is_drawn_or_validated_where_nothing_is_wanted(start_run: StartRun) -> None:
-    run = start_run(steps=1, pictures=0)
+    run = start_run(steps=1)
     take(run, 1)
     assert not (run.out / "pictures").exists()
     assert len(log_of(run.out)) == 1

@@ -98,7 +98,7 @@ def test_an_error_that_nobody_foresaw_saves_the_last_step(
     make_config: Callable[..., TrainConfig], data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It does so in the middle of a step, and what goes on from there equals a run that never failed."""
-    config = make_config(checkpoint_every=100, pictures=0)
+    config = make_config(checkpoint_every=100)
     whole = train_metric(config, data=data, out=tmp_path / "whole", init=None)
     losses = metric.metric_losses
 
@@ -127,7 +127,7 @@ def test_broken_samples_are_skipped_and_named_whenever_they_are_found(
     rooms = write_pairs(tmp_path / "rooms", n=6, size=(64, 64))
     photo = rooms.parent / "image/train_003.jpg"
     photo.write_bytes(photo.read_bytes()[:400])
-    config = make_config(steps=5, pictures=0, holdout=1, validate_every=100)
+    config = make_config(steps=5, holdout=1, validate_every=100)
     looked = train_metric(config, data={"indoor": rooms}, out=tmp_path / "looked", init=None)
     assert f"skipped: {photo}" in capsys.readouterr().err.replace("\n", "")
     blind = replace(config, check="off")
@@ -148,7 +148,7 @@ def test_too_many_broken_samples_end_the_run_with_its_last_step_saved(
     rooms = write_pairs(tmp_path / "rooms", n=6, size=(64, 64))
     for index in (0, 1, 2):
         (rooms.parent / f"image/train_{index:03d}.jpg").write_bytes(b"")
-    config = make_config(steps=5, pictures=0, batch_size=6)
+    config = make_config(steps=5, batch_size=6)
     with pytest.raises(InputError, match=r"3 of 6 pairs of \S*train\.csv cannot be read"):
         train_metric(config, data={"indoor": rooms}, out=tmp_path / "looked", init=None)
     assert not (tmp_path / "looked").exists()

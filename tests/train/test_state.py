@@ -230,7 +230,7 @@ HARMLESS = {
     "log_every": 7,
     "validate_every": 7,
     "keep_checkpoints": 5,
-    "pictures": 0,
+    "pictures": 5,
     "checkpoint_every": 7,
     "check": "off",
 }

@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from zoedepth.build import build_model, channels_last
+from zoedepth.build import build_model, channels_last, without_memory
 from zoedepth.config import AnyModelConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.interface import DepthModel
@@ -31,7 +31,7 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     _refuse_strange(config, len(weights), source)
     config = with_compat(config, compat)
     try:
-        with torch.device("meta"):  # shapes without memory
+        with without_memory():
             model = build_model(config)
     except (
         ValueError,

@@ -283,7 +283,7 @@ class HeadTester:
 
     def test_a_whole_model_takes_it_with_any_number_of_domains(self, config: Any, tiny_config: ModelConfig):
         pixels = torch.rand(3, 3, 64, 96)
-        for n in (1, 2, 3):
+        for n in (1, 3):
             domains = tuple(Domain(f"scene {i}", 1e-3, 10.0 * (i + 1)) for i in range(n))
             torch.manual_seed(0)
             model = ZoeDepth(replace(tiny_config, head=config, domains=domains)).eval()

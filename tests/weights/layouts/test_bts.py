@@ -6,7 +6,7 @@ import pytest
 import torch
 from tests.weights.layouts.layouts import released, same
 
-from zoedepth.build import build_model
+from zoedepth.build import build_model, without_memory
 from zoedepth.config import INDOOR, BaselineConfig, BtsNetworkConfig
 from zoedepth.errors import InputError
 from zoedepth.weights.layouts import bts
@@ -15,7 +15,7 @@ from zoedepth.weights.layouts import bts
 def theirs_of(config: BaselineConfig) -> dict[str, torch.Tensor]:
     """A file of BTS with another encoder: names and shapes, no memory."""
     assert isinstance(config.network, BtsNetworkConfig)
-    with torch.device("meta"):
+    with without_memory():
         model = build_model(config)
     return bts.table(config.network.width).to_theirs(model.state_dict())
 
@@ -24,7 +24,7 @@ def test_every_name_and_shape_is_that_of_our_model():
     theirs = released("bts")
     config, ours, table = bts.read(theirs)
     assert config == BaselineConfig(BtsNetworkConfig(), domains=(INDOOR,))
-    with torch.device("meta"):
+    with without_memory():
         model = build_model(config)
     assert {name: value.shape for name, value in model.state_dict().items()} == {
         name: value.shape for name, value in ours.items()
@@ -97,7 +97,7 @@ def test_encoder_and_width_are_told_by_the_shapes(network: BtsNetworkConfig):
         theirs |= {"encoder.base_model.fc.weight": torch.empty(1), "encoder.base_model.fc.bias": torch.empty(1)}
     config, ours, _ = bts.read(theirs)
     assert config.network == network
-    with torch.device("meta"):
+    with without_memory():
         assert ours.keys() == build_model(config).state_dict().keys()
 
 

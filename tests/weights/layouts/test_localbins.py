@@ -6,7 +6,7 @@ import pytest
 import torch
 from tests.weights.layouts.layouts import released, same
 
-from zoedepth.build import build_model
+from zoedepth.build import build_model, without_memory
 from zoedepth.config import INDOOR, BaselineConfig, LocalBinsNetworkConfig
 from zoedepth.errors import InputError
 from zoedepth.weights.layouts import localbins
@@ -24,7 +24,7 @@ DROPPED = {
 def test_every_name_and_shape_is_that_of_our_model_but_for_a_known_few():
     theirs = released("localbins")
     config, ours, table = localbins.read(theirs)
-    with torch.device("meta"):
+    with without_memory():
         model = build_model(config)
     assert {name: value.shape for name, value in model.state_dict().items()} == {
         name: value.shape for name, value in ours.items()
@@ -45,7 +45,7 @@ def test_config_is_told_by_the_shapes_and_keeps_the_bins_of_the_public_code():
     theirs = released("localbins")
     config, *_ = localbins.read(theirs)
     assert config == BaselineConfig(LocalBinsNetworkConfig(n_seed_bins=8, front_padding=False), domains=(INDOOR,))
-    with torch.device("meta"):
+    with without_memory():
         model = build_model(replace(config, network=LocalBinsNetworkConfig(n_seed_bins=16)))
     other, *_ = localbins.read(localbins.TABLE.to_theirs(model.state_dict()))
     assert other.network == LocalBinsNetworkConfig(n_seed_bins=16, front_padding=False)

@@ -4,7 +4,7 @@ import pytest
 import torch
 from tests.weights.layouts.layouts import released, same
 
-from zoedepth.build import build_model
+from zoedepth.build import build_model, without_memory
 from zoedepth.config import INDOOR, BaselineConfig, NewCrfsNetworkConfig
 from zoedepth.errors import InputError
 from zoedepth.weights.layouts import newcrfs
@@ -12,7 +12,7 @@ from zoedepth.weights.layouts import newcrfs
 
 def ours_of(network: NewCrfsNetworkConfig) -> dict[str, torch.Tensor]:
     """Names and shapes of our model, no memory."""
-    with torch.device("meta"):
+    with without_memory():
         return build_model(BaselineConfig(network)).state_dict()
 
 

@@ -1,0 +1,58 @@
+"""A second process beside that of the test: the two that ``torchrun --nproc-per-node 2`` starts, one of them here."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
+
+import pytest
+import torch.distributed as distributed
+
+HOST = "127.0.0.1"
+CODE = """
+import json, os, sys
+from torch.distributed import TCPStore
+from zoedepth.cli import main
+TCPStore(os.environ["MASTER_ADDR"], int(os.environ["MASTER_PORT"])).set("imported", "")
+print(json.dumps([main(arguments) for arguments in json.loads(sys.argv[1])]))
+"""
+
+
+@contextmanager
+def beside(*commands: Sequence[str]) -> Iterator[list[int]]:
+    """Run ``zoedepth COMMAND`` for each of the commands in a second process, while the test does the same in this one.
+
+    To start both would take several times as long as what they do. They meet as under torchrun: by the same variables,
+    at the same kind of store.
+
+    Yields:
+        A list that is empty inside, and has the exit codes of the second process after.
+    """
+    store = distributed.TCPStore(HOST, 0, is_master=True, wait_for_workers=False)
+    variables = {
+        "MASTER_ADDR": HOST, "MASTER_PORT": str(store.port), "WORLD_SIZE": "2", "LOCAL_WORLD_SIZE": "2",
+        "GROUP_RANK": "0", "TORCHELASTIC_RUN_ID": "none", "TORCHELASTIC_RESTART_COUNT": "0",
+        "TORCHELASTIC_USE_AGENT_STORE": "True",
+    }  # fmt: skip
+    codes: list[int] = []
+    second = subprocess.Popen(
+        [sys.executable, "-c", CODE, json.dumps([list(map(str, command)) for command in commands])],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, **variables, "OMP_NUM_THREADS": "1", "RANK": "1", "LOCAL_RANK": "1"},
+    )  # fmt: skip
+    try:
+        store.wait(["imported"], timedelta(seconds=300))
+        with pytest.MonkeyPatch.context() as patch:
+            for name, value in {**variables, "RANK": "0", "LOCAL_RANK": "0"}.items():
+                patch.setenv(name, value)
+            yield codes
+        output, errors = second.communicate(timeout=300)
+        assert second.returncode == 0, errors[-3000:]
+        codes += json.loads(output.splitlines()[-1])
+    finally:
+        second.kill()
+        if distributed.is_initialized():
+            distributed.destroy_process_group()
