@@ -3,6 +3,8 @@
 import dataclasses
 import json
 import os
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +27,7 @@ from zoedepth.evaluation.protocols import INDOOR
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.provenance import Provenance
 from zoedepth.train import finetune as module
-from zoedepth.train.config import FinetuneOptions
+from zoedepth.train.config import FinetuneOptions, TrainConfig
 from zoedepth.train.finetune import Plan, plan, steps_for
 from zoedepth.weights.load import load_model, save_model
 
@@ -37,6 +39,14 @@ def init(tiny_model: ZoeDepth, tmp_path: Path) -> str:
     tiny_model.provenance = Provenance("non-commercial research", "NYU", {"nyu": {"rel": 0.5}})
     save_model(tiny_model, path)
     return str(path)
+
+
+@pytest.fixture(autouse=True)
+def read_by_the_test_itself() -> Iterator[None]:
+    """Read photos in this process: to start others takes longer than to train a few steps."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "TrainConfig", partial(TrainConfig, n_workers=0))
+        yield
 
 
 @pytest.fixture
@@ -210,8 +220,8 @@ def test_before_and_after_are_measured_with_the_camera(tiny_model: ZoeDepth, tmp
 def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str, tmp_path: Path, capsys):
     path = write_pairs(tmp_path / "rooms", n=6, size=(96, 128))
     out = tmp_path / "out"
-    arguments = ["train", "finetune", "--data", f"rooms={path}", "--init", init, "--out", str(out), "--steps", "40"]
-    assert main([*arguments, "--learning-rate", "0.004", "--holdout", "2"]) == 0
+    arguments = ["train", "finetune", "--data", f"rooms={path}", "--init", init, "--out", str(out), "--steps", "28"]
+    assert main([*arguments, "--learning-rate", "0.008", "--holdout", "2"]) == 0
     printed = capsys.readouterr()
     assert "6 pairs, 128x96; depth known at 88% (dense)" in printed.err
     assert "before" in printed.out
@@ -233,18 +243,18 @@ def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str,
     assert f"{measured['after']['metrics']['rel']:.3f}" in card
 
     # Again: everything is there, nothing is trained, the result is the same.
-    kept = [out / name for name in ("run/log.jsonl", "run/step_000040/train.pt", "metrics.json", "README.md")]
+    kept = [out / name for name in ("run/log.jsonl", "run/step_000028/train.pt", "metrics.json", "README.md")]
     before = [file.read_bytes() for file in kept]
     (out / "model.safetensors").unlink()
-    assert main([*arguments, "--learning-rate", "0.004", "--holdout", "2"]) == 0
+    assert main([*arguments, "--learning-rate", "0.008", "--holdout", "2"]) == 0
     assert [file.read_bytes() for file in kept] == before
     assert load_model(out / "model.safetensors").config == load_model(init).config
 
 
 def test_third_domain_of_scattered_depth_is_added_and_learned(init: str, tmp_path: Path, capsys):
     path, out = write_sparse(tmp_path / "lidar", n=4), tmp_path / "out"
-    arguments = ["train", "finetune", "--data", f"lidar={path}", "--init", init, "--out", str(out), "--steps", "30"]
-    assert main([*arguments, "--learning-rate", "0.003", "--holdout", "1"]) == 0
+    arguments = ["train", "finetune", "--data", f"lidar={path}", "--init", init, "--out", str(out), "--steps", "15"]
+    assert main([*arguments, "--learning-rate", "0.02", "--holdout", "1"]) == 0
     error = capsys.readouterr().err
     assert "(scattered points)" in error
     assert "There is no photo of indoor, outdoor in the data" in error
