@@ -6,6 +6,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from datetime import timedelta
 
 import pytest
@@ -21,15 +22,25 @@ print(json.dumps([main(arguments) for arguments in json.loads(sys.argv[1])]))
 """
 
 
+@dataclass
+class Second:
+    """The second process. It has nothing to say before it has ended."""
+
+    codes: list[int] = field(default_factory=list)
+    """The exit code of each command."""
+    errors: str = ""
+    """What it wrote to standard error."""
+
+
 @contextmanager
-def beside(*commands: Sequence[str]) -> Iterator[list[int]]:
+def beside(*commands: Sequence[str]) -> Iterator[Second]:
     """Run ``zoedepth COMMAND`` for each of the commands in a second process, while the test does the same in this one.
 
     To start both would take several times as long as what they do. They meet as under torchrun: by the same variables,
     at the same kind of store.
 
     Yields:
-        A list that is empty inside, and has the exit codes of the second process after.
+        The second process, whose fields are filled when it has ended, after the block.
     """
     store = distributed.TCPStore(HOST, 0, is_master=True, wait_for_workers=False)
     variables = {
@@ -37,8 +48,8 @@ def beside(*commands: Sequence[str]) -> Iterator[list[int]]:
         "GROUP_RANK": "0", "TORCHELASTIC_RUN_ID": "none", "TORCHELASTIC_RESTART_COUNT": "0",
         "TORCHELASTIC_USE_AGENT_STORE": "True",
     }  # fmt: skip
-    codes: list[int] = []
-    second = subprocess.Popen(
+    second = Second()
+    process = subprocess.Popen(
         [sys.executable, "-c", CODE, json.dumps([list(map(str, command)) for command in commands])],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, **variables, "OMP_NUM_THREADS": "1", "RANK": "1", "LOCAL_RANK": "1"},
@@ -48,11 +59,11 @@ def beside(*commands: Sequence[str]) -> Iterator[list[int]]:
         with pytest.MonkeyPatch.context() as patch:
             for name, value in {**variables, "RANK": "0", "LOCAL_RANK": "0"}.items():
                 patch.setenv(name, value)
-            yield codes
-        output, errors = second.communicate(timeout=300)
-        assert second.returncode == 0, errors[-3000:]
-        codes += json.loads(output.splitlines()[-1])
+            yield second
+        output, second.errors = process.communicate(timeout=300)
+        assert process.returncode == 0, second.errors[-3000:]
+        second.codes = json.loads(output.splitlines()[-1])
     finally:
-        second.kill()
+        process.kill()
         if distributed.is_initialized():
             distributed.destroy_process_group()

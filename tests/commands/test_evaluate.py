@@ -483,7 +483,7 @@ class TestOutput:
             assert text in output
         assert all(len(line) <= columns or line == label for line in output.splitlines() if "┃" not in line)
 
-    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path, capsys):
+    def test_processes_of_torchrun_report_the_same_to_the_last_bit(self, tmp_path: Path):
         """Failures of the second process, too."""
         path = write_pairs(tmp_path / "rooms", n=5, split="test")
         theirs = write_predictions(tmp_path / "theirs", path)
@@ -491,11 +491,10 @@ class TestOutput:
         arguments = ["evaluate", "--predictions", str(theirs), "--data", str(path), "--no-pictures", "--out"]
         assert main([*arguments, str(tmp_path / "one")]) == 1
         command = [*arguments, str(tmp_path / "two")]
-        capsys.readouterr()
-        with beside(command) as codes:
+        with beside(command) as second:
             assert main(command) == 1
-        assert codes == [0], "the first says how it went"
-        assert "failed: rooms, image 1" in capsys.readouterr().err
+        assert second.codes == [0], "the first says how it went"
+        assert "failed: rooms, image 1" in second.errors
         one, two = (json.loads((tmp_path / name / "report.json").read_text())["results"] for name in ("one", "two"))
         assert one == two
         assert (one[0]["n_scored"], one[0]["n_failed"]) == (4, 1)

@@ -41,9 +41,9 @@ def test_two_processes_give_the_curve_of_one(tmp_path: Path) -> None:
             yield ["train", *recipe, *COMMON, "--data", *data, "--out", str(tmp_path / out / recipe[0])]
 
     assert [main(command) for command in both_stages("one")] == [0, 0]
-    with beside(*both_stages("two")) as codes:
+    with beside(*both_stages("two")) as second:
         assert [main(command) for command in both_stages("two")] == [0, 0]
-    assert codes == [0, 0]
+    assert second.codes == [0, 0]
     shown = {
         "zoed_lite": ["train/silog", "train/domain"],
         "zoed_lite_relative": ["train/ssi", "train/weight/indoor", "train/weight/outdoor", "train/weight/relative"],
