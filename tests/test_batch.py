@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from PIL import Image
+from PIL import ExifTags, Image
 
 from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
 from zoedepth.calibration import Calibration, Reading
@@ -20,7 +20,9 @@ from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.geometry.lens import Lens
 from zoedepth.images import read_image, to_image
+from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS, Options, sidecar
+from zoedepth.panorama import predict_panorama
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
 
@@ -44,12 +46,21 @@ class Brightness(Predictor):
 
 
 REQUEST = Request("brightness")
+CALIBRATION = Calibration(2.0, camera=Lens(fov_x=60).camera((12, 24)), readings=())
+SPHERE = b'<x:xmpmeta xmlns:x="adobe:ns:meta/" GPano:ProjectionType="equirectangular"/>'
 
 
 def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     noise = np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
     Image.fromarray(noise).save(path)
+    return path
+
+
+def write_sphere(path: Path, *, said: bool) -> Path:
+    """Write a photo twice as wide as high, whose XMP says that it is a panorama, or does not."""
+    noise = np.random.default_rng(0).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path, **({"xmp": SPHERE} if said else {}))
     return path
 
 
@@ -305,6 +316,8 @@ class TestPredictPhoto:
             "focal_correction": 1.0,
             "camera": json.loads(json.dumps(asdict(expected.camera))),
             "unit": "metre",
+            "projection": "perspective",
+            "depth_along": "optical axis",
             "png_scale": 1000,
             "median_confidence": 0.8,
             "files": {"depth": "a_depth.png", "preview": "a_preview.jpg"},
@@ -331,6 +344,39 @@ class TestPredictPhoto:
         assert note.startswith("without a known camera: that of the training photos was assumed")
         predictor.camera = "none"
         assert predict_photo(photo, predictor, REQUEST).notes == ()
+
+    @pytest.mark.parametrize("asked_for", [True, False])
+    def test_a_panorama_is_looked_at_in_parts(self, tmp_path: Path, asked_for: bool, tiny_model: ZoeDepth) -> None:
+        photo = Photo(write_sphere(tmp_path / "a.jpg", said=not asked_for), tmp_path / "out" / "a")
+        domains = tuple(replace(domain, focal_px=50.0) for domain in tiny_model.config.domains)
+        tiny_model.config = replace(tiny_model.config, domains=domains)
+        predictor = Predictor(tiny_model)
+        request = Request("tiny", ("npy", "depth", "tiff", "exr"), domain="outdoor", panorama=asked_for)
+        sidecar = predict_photo(photo, predictor, request).sidecar
+        expected = predict_panorama(predictor, photo.path, domain="outdoor")
+        assert np.array_equal(np.load(photo.file("_depth.npy")), expected.distance)
+        assert (sidecar["projection"], sidecar["depth_along"]) == ("equirectangular", "ray")
+        assert (sidecar["domain"], sidecar["views"], sidecar["input_size"]) == ("outdoor", 22, (32, 64))
+        assert "camera" not in sidecar
+        assert sidecar["focal_correction"] == expected.focal_correction != 1
+        with Image.open(photo.file("_depth.png")) as png, Image.open(photo.file("_depth.tiff")) as tiff:
+            assert "along the ray" in png.info["Description"]
+            assert "along the ray" in str(tiff.getexif()[ExifTags.Base.ImageDescription])
+        OpenEXR = pytest.importorskip("OpenEXR")
+        header = OpenEXR.File(str(photo.file("_depth.exr"))).header()
+        assert header["envmap"] == OpenEXR.ENVMAP_LATLONG
+        assert "along the ray" in header["comments"]
+
+    def test_a_panorama_has_no_camera_and_no_calibration(self, tmp_path: Path, tiny_model: ZoeDepth) -> None:
+        photo = Photo(write_sphere(tmp_path / "a.jpg", said=True), tmp_path / "out" / "a")
+        with pytest.raises(InputError, match="it is a panorama, which looks everywhere and has no camera"):
+            predict_photo(photo, Predictor(tiny_model, camera=Lens(fov_x=60)), REQUEST)
+        with pytest.raises(InputError, match="leave the calibration out"):
+            predict_photo(photo, Predictor(tiny_model), Request("tiny", calibration=CALIBRATION))
+        photo = Photo(write_photo(tmp_path / "b.jpg"), tmp_path / "out" / "b")
+        with pytest.raises(InputError, match="twice as wide as high"):
+            predict_photo(photo, Predictor(tiny_model), Request("tiny", panorama=True))
+        assert not (tmp_path / "out").exists()
 
     def test_relative_depth(self, tmp_path: Path) -> None:
         photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
@@ -362,6 +408,8 @@ class TestPredictPhoto:
         ({"outputs": ("dpeth",)}, "no output 'dpeth': did you mean depth"),
         ({"outputs": ("relative",)}, "'relative' cannot be written from depth in metres"),
         ({"outputs": ("npz", "depth"), "relative": True}, "'depth' cannot be written from relative depth"),
+        ({"relative": True, "panorama": True}, "relative depth has none"),
+        ({"panorama": True, "calibration": CALIBRATION}, "leave the calibration out"),
         ({"relative": True, "domain": "indoor"}, "no metres: leave out domain"),
         ({"relative": True, "options": Options(png_scale=256.0, vmax=3.0)}, "png_scale, vmax"),
     ],

@@ -33,6 +33,7 @@ from zoedepth.images import IMAGE_SUFFIXES, read_image
 from zoedepth.outputs import OUTPUTS, Maps, Options, output_names
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import is_own_file
+from zoedepth.panorama import is_sphere, predict_panorama
 
 if TYPE_CHECKING:
     from zoedepth.predict import Predictor
@@ -58,6 +59,10 @@ _OTHER_PICTURES = {
 _UNKNOWN_CAMERA = (
     "without a known camera: that of the training photos was assumed, and depth was not corrected by the focal length. "
     "Say the field of view (--fov-x, --fov-diagonal) or the camera (--camera FILE)"
+)
+
+_NOT_CALIBRATED = (
+    "a calibration is of photos of one camera, and a panorama looks everywhere and has none: leave the calibration out"
 )
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -118,6 +123,8 @@ class Request:
     """True predicts relative depth instead of metres."""
     calibration: Calibration | None = None
     """The calibration by which metres are put right; photos that it does not hold for fail."""
+    panorama: bool = False
+    """True takes all photos for panoramas of 360 x 180 degrees. Those that say so in their XMP are found anyway."""
 
     def __post_init__(self) -> None:
         options = self.options
@@ -131,6 +138,13 @@ class Request:
         metric = [name for name, value in given.items() if value is not None]
         if self.relative and metric:
             raise InputError(f"relative depth has no metres: leave out {', '.join(metric)}")
+        if self.relative and self.panorama:
+            raise InputError(
+                "the parts of a panorama are joined by their metres, and relative depth has none: take a model of "
+                "metres, without --relative"
+            )
+        if self.calibration is not None and self.panorama:
+            raise InputError(_NOT_CALIBRATED)
         for name in self.names:
             if self.map not in OUTPUTS[name].maps:
                 found = "relative depth" if self.relative else "depth in metres"
@@ -242,6 +256,8 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
         image = read_image(photo.path)
         maps = Maps(relative=predictor.relative(image), image=image)
         origin: dict[str, object] = {"input_size": image.shape[:2]}
+    elif request.panorama or is_sphere(photo.path):
+        maps, origin = _look_around(photo.path, predictor, request)
     else:
         result = predictor(photo.path, domain=request.domain)
         if request.calibration is not None:
@@ -359,6 +375,23 @@ def share_cores(workers: int) -> Iterator[None]:
 def cpu_count() -> int:
     """Return the number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _look_around(panorama: Path, predictor: "Predictor", request: Request) -> tuple[Maps, dict[str, object]]:
+    """Return the maps of a panorama, and how they were made."""
+    if predictor.camera != "exif":
+        raise InputError("it is a panorama, which looks everywhere and has no camera: leave the camera out (--camera)")
+    if request.calibration is not None:
+        raise InputError(_NOT_CALIBRATED)
+    result = predict_panorama(predictor, panorama, domain=request.domain)
+    return result.maps, {
+        "config_size": predictor.model.config.size,
+        "input_size": result.size,
+        "domain": result.domain,
+        "views": len(result.scales),
+        "disagreement": round(result.disagreement, 4),
+        "focal_correction": result.focal_correction,
+    }
 
 
 def _about_camera(result: DepthMap) -> dict[str, object]:

@@ -130,6 +130,17 @@ def read_photo_notes(source: str | Path | BinaryFile) -> PhotoNotes:
         return notes
 
 
+def read_stored_size(source: str | Path | BinaryFile) -> tuple[int, int]:
+    """Return (height, width) of a photo as it is stored, before it is turned upright, without decoding it.
+
+    Raises:
+        InputError: it is no picture; see ``read_image``.
+    """
+    picture, _, _ = _open(source, decode=False)
+    with picture:
+        return picture.height, picture.width
+
+
 def to_image_with_notes(source: Any) -> tuple[ImageArray, PhotoNotes]:
     """Turn anything that holds a picture into an image, as ``to_image`` does; returns its notes, too.
 
@@ -283,7 +294,7 @@ def _warn_of_more(picture: Image.Image, name: str, *, panorama: bool) -> None:
     if not panorama and is_panorama(picture):
         _warn(
             f"{name} is a panorama, by its own notes: models take it for an ordinary photo, and its depth will be "
-            "wrong. Where it is a whole sphere, zoedepth.predict_panorama looks at it in parts"
+            "wrong. Where it is a whole sphere, --panorama (zoedepth.predict_panorama) looks at it in parts"
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from zoedepth import colors
+from zoedepth.claims import BinaryFile
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.mesh import Mesh
 from zoedepth.geometry.panorama import (
@@ -25,7 +26,7 @@ from zoedepth.geometry.panorama import (
     resized,
     sharp_height,
 )
-from zoedepth.images import DepthArray, ImageArray, read_image, read_photo_notes, to_image
+from zoedepth.images import DepthArray, ImageArray, read_image, read_photo_notes, read_stored_size, to_image
 from zoedepth.outputs import Maps, Options, write_maps
 from zoedepth.predict import Predictor
 
@@ -53,6 +54,9 @@ class PanoramaMap:
     view is off, at least."""
     depth_range: tuple[float, float] = (0.0, math.inf)
     """Metres: distances at or below the first or beyond the second are none of the model's."""
+    focal_correction: float = 1.0
+    """The factor by which the depths of the views were multiplied because their focal length is not that of the
+    training photos; 1 where they were not."""
 
     @property
     def size(self) -> tuple[int, int]:
@@ -153,15 +157,20 @@ def predict_panorama(predictor: Predictor, image: Any, *, domain: str | None = N
         merged.scales,
         merged.disagreement,
         (min(depth_map.depth_range[0] for depth_map in maps), math.inf),
+        maps[0].focal_correction,  # all views have one lens and one head
     )
 
 
-def is_sphere(path: str | Path) -> bool:
-    """Return True if a photo is a panorama of 360 x 180 degrees, by its XMP and its shape."""
-    notes = read_photo_notes(path)
-    if not notes.panorama:
+def is_sphere(source: str | Path | BinaryFile) -> bool:
+    """Return True if a photo is a panorama of 360 x 180 degrees, by its XMP and its shape.
+
+    Raises:
+        InputError: it is no picture; see ``images.read_image``.
+    """
+    short, long = sorted(read_stored_size(source))
+    if long - 2 * short > 2 or 2 * short - long > 2 or not read_photo_notes(source).panorama:
         return False
-    height, width = read_image(path, panorama=True).shape[:2]
+    height, width = read_image(source, panorama=True).shape[:2]
     return abs(width - 2 * height) <= 2
 
 

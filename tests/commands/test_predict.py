@@ -114,6 +114,18 @@ class TestOptions:
         triangles = json.loads((tmp_path / "out/photo.json").read_text())["triangles"]
         assert most / 4 < triangles <= most
 
+    def test_of_a_panorama(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        photos = [write_photo(tmp_path / name, size=size) for name, size in (("a.png", (32, 64)), ("b.png", (32, 50)))]
+        options = ["--no-flip", "--panorama", "--save", "npz,ply", "--json"]
+        assert predict(*photos, *options, out=tmp_path / "out") == 1
+        captured = capsys.readouterr()
+        good, bad = map(json.loads, captured.out.splitlines())
+        assert (good["projection"], good["size"], good["camera"]) == ("equirectangular", [32, 64], None)
+        assert "twice as wide as high, and this has 50 x 32 pixels" in bad["error"]
+        with np.load(tmp_path / "out/a.npz") as arrays:
+            assert (str(arrays["projection"]), arrays["depth"].shape) == ("equirectangular", (32, 64))
+        assert names(tmp_path / "out") == {"a.npz", "a.ply", "a.json"}
+
     def test_model_without_metric_heads_gives_relative_depth(
         self, photo: Path, tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -121,6 +133,7 @@ class TestOptions:
         monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: bare)
         assert predict(photo, out=tmp_path / "out") == 0
         assert names(tmp_path / "out") == {"photo_relative.png", "photo_preview.jpg", "photo.json"}
+        assert predict(photo, "--panorama", out=tmp_path / "out") == 2
 
     @pytest.mark.parametrize(
         ("options", "message"),
@@ -170,7 +183,8 @@ class TestOptions:
                 "sidecar": str(tmp_path / "out" / "a.json"),
             },
             "size": [30, 40],
-            **{key: sidecar[key] for key in ("depth", "domain", "camera", "focal_correction", "seconds")},
+            **{key: sidecar[key] for key in ("depth", "domain", "projection", "camera", "seconds")},
+            "focal_correction": 1.0,
             "calibration": None,
             "error": None,
         }
@@ -309,6 +323,9 @@ class TestCamera:
             (["--intrinsics", "500", "500", "320", "240"], "far from the middle of a photo of 40 x 30"),
             (["--relative", "--fov-x", "70"], "no metres"),
             (["--relative", "--focal-correction", "yes"], "no metres"),
+            (["--panorama", "--fov-x", "70"], "a panorama looks everywhere and has no camera"),
+            (["--panorama", "--camera", "none"], "a panorama looks everywhere and has no camera"),
+            (["--panorama", "--relative"], "relative depth has none"),
             (["--focal-correction", "yes"], "does not say with what focal length"),
             (["--calibration", "nowhere.json"], "nowhere.json"),
         ],

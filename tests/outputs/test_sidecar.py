@@ -22,6 +22,8 @@ def test_of_metres() -> None:
     assert described(Maps(depth=DEPTH, std=DEPTH), png_scale=256.0) == {
         "source": "a.jpg",
         "unit": "metre",
+        "projection": "perspective",
+        "depth_along": "optical axis",
         "png_scale": 256.0,
         "depth": {"min": 1.0, "median": 2.0, "max": 9.0},
         "median_confidence": 0.5,

@@ -27,6 +27,7 @@ _IN_JSON = {
     "size": "input_size",
     "depth": "depth",
     "domain": "domain",
+    "projection": "projection",
     "camera": "camera",
     "focal_correction": "focal_correction",
     "calibration": "calibration",
@@ -35,6 +36,8 @@ _IN_JSON = {
 """Name in a line of --json → name in the sidecar."""
 
 _NO_METRES = "relative depth has no metres: leave out the camera, and --focal-correction yes"
+
+_NO_CAMERA = "a panorama looks everywhere and has no camera: leave out the camera, or --panorama"
 
 _SAVE = tyro.conf.arg(
     metavar=f"[{{{','.join(OUTPUTS)}}} ...]",
@@ -62,6 +65,7 @@ def predict(
     intrinsics: Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")] = None,
     focal_correction: Literal["model", "yes", "no"] = "model",
     calibration: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    panorama: bool = False,
     relative: bool = False,
     compat: tuple[str, ...] = (),
     png_scale: float | None = None,
@@ -106,6 +110,8 @@ def predict(
         focal_correction: multiply depth by the photo's focal length over that of the training photos. "model" does so
             where the model was trained in one canonical camera, and where the camera is given by an option.
         calibration: file of `zoedepth calibrate`; photos of another camera, model or scene type fail.
+        panorama: the photos are panoramas of 360 x 180 degrees, twice as wide as high. One that says so in its XMP is
+            found to be one without this. Depth is the distance along each pixel's ray then.
         relative: write relative depth instead (inverse depth without a unit): NAME_relative.png, the nearest is 65535.
             Models without a metric head (MiDaS) give nothing else. Models with one were not trained to keep it right.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
@@ -119,7 +125,7 @@ def predict(
         workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
             needs memory of its own: give 1 for large models where there is little.
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
-            max in metres), domain, camera, focal_correction, calibration, seconds and error.
+            max in metres), domain, projection, camera, focal_correction, calibration, seconds and error.
     """
     from zoedepth.batch import Request, blocked, cpu_count, find_photos, share_cores
     from zoedepth.calibration import read_calibration
@@ -141,7 +147,9 @@ def predict(
         kind = "relative" if relative else "depth"
         names = output_names(save or ((kind,) if streamed else (kind, "preview")), map=kind)
         names = tuple(name for name in names if preview or name != "preview")
-        return Request(model, names, options, domain=domain, relative=relative, calibration=corrections)
+        return Request(
+            model, names, options, domain=domain, relative=relative, calibration=corrections, panorama=panorama
+        )
 
     wanted = request(relative=relative)
     with standard_streams(sources, out, kinds=wanted.names, json_=json_) as (sources, out):
@@ -168,6 +176,8 @@ def predict(
         about_metres = known_camera != "exif" or focal_correction == "yes"
         if relative and about_metres:
             raise InputError(_NO_METRES)
+        if panorama and known_camera != "exif":
+            raise InputError(_NO_CAMERA)
         check_writable(out, option="--out")
         if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
             raise InputError(

@@ -12,7 +12,9 @@ from zoedepth.outputs.output import Maps, Options, Output, Written, check_map, c
 from zoedepth.stored import SCALE_KEY
 
 
-def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_SCALE_MILLIMETRE) -> None:
+def write_depth_png(
+    path: str | Path, depth: np.ndarray, *, scale: float = PNG_SCALE_MILLIMETRE, along: str = "optical axis"
+) -> None:
     """Write metres as a 16-bit grey PNG: value = round(depth * scale), 0 = no depth.
 
     Depth too far for the file is clipped to 65535 and never wraps around; depth too near becomes 1, so that a valid
@@ -23,6 +25,7 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
         path: where to write; missing folders are made.
         depth: (height, width), metres.
         scale: PNG levels per metre; 1000 is millimetres (up to 65.535 m), 256 is KITTI's (up to 255.996 m).
+        along: the line along which depth is measured, for the description in the file: see ``Maps.depth_along``.
 
     Raises:
         InputError: depth is not two-dimensional, or the scale is not a positive number.
@@ -37,7 +40,7 @@ def write_depth_png(path: str | Path, depth: np.ndarray, *, scale: float = PNG_S
     text = PngInfo()
     text.add_text(SCALE_KEY, f"{scale:.10g}")
     text.add_text("DepthUnit", "metre")
-    text.add_text("Description", f"depth along the optical axis in metres = value / {scale:.10g}; 0 = no depth")
+    text.add_text("Description", f"depth along the {along} in metres = value / {scale:.10g}; 0 = no depth")
     with atomic_path(path) as temporary:
         # Level 1 of zlib takes a quarter of the time of Pillow's 6, for a file a quarter larger.
         Image.fromarray(levels).save(temporary, format="PNG", pnginfo=text, compress_level=1)
@@ -53,7 +56,7 @@ def fitting_scale(depth: np.ndarray) -> float:
 def _write(path: Path, maps: Maps, options: Options) -> Written:
     depth = needed(maps, "depth")
     scale = fitting_scale(depth) if options.png_scale is None else options.png_scale
-    write_depth_png(path, depth, scale=scale)
+    write_depth_png(path, depth, scale=scale, along=maps.depth_along)
     notes = []
     if options.png_scale is None and scale != PNG_SCALE_MILLIMETRE:
         notes.append("beyond 65.535 m: the PNG has 256 levels per metre, not 1000")

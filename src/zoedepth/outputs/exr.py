@@ -14,18 +14,25 @@ from zoedepth.outputs.output import Maps, Options, Output, Written, check_map, k
 
 
 def write_exr(
-    path: str | Path, depth: np.ndarray, *, image: ImageArray | None = None, camera: Camera | None = None
+    path: str | Path,
+    depth: np.ndarray,
+    *,
+    image: ImageArray | None = None,
+    camera: Camera | None = None,
+    panorama: bool = False,
 ) -> None:
     """Write metres as the float32 channel ``Z`` of an OpenEXR file, losslessly compressed.
 
     Args:
         path: where to write; missing folders are made.
-        depth: (height, width), metres along the optical axis. Depth that is not a finite number above 0 becomes 0.
+        depth: (height, width), metres along the optical axis, or of a panorama along the ray. Depth that is not a
+            finite number above 0 becomes 0.
         image: the photo, RGB, for the channels ``R``, ``G`` and ``B``: in linear light, as programs expect of OpenEXR,
             so that they show it as it was.
         camera: the camera, for the header. ``intrinsics`` is its 3 x 3 matrix in pixels, and ``cameraSource`` says who
             knows it; the standard's own ``screenWindowWidth`` and ``screenWindowCenter`` say the same of the plane at
             1 m.
+        panorama: True for a photo of everything around. The header says so by the standard's own ``envmap``.
 
     Raises:
         InputError: depth is not two-dimensional.
@@ -39,8 +46,10 @@ def write_exr(
     header: dict[str, Any] = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        "comments": f"{OWN_MARK}: Z is depth along the optical axis in metres, 0 = no depth",
+        "comments": f"{OWN_MARK}: Z is depth along the {'ray' if panorama else 'optical axis'} in metres, 0 = no depth",
     }
+    if panorama:
+        header["envmap"] = OpenEXR.ENVMAP_LATLONG
     if camera is not None:
         header |= _camera_attributes(camera)
     channels: dict[str, np.ndarray] = {"Z": depth}
@@ -80,7 +89,7 @@ def _linear_light() -> Float16[np.ndarray, "256"]:
 
 
 def _write(path: Path, maps: Maps, options: Options) -> Written:
-    write_exr(path, needed(maps, "depth"), image=maps.image, camera=maps.camera)
+    write_exr(path, needed(maps, "depth"), image=maps.image, camera=maps.camera, panorama=maps.panorama)
     return Written()
 
 

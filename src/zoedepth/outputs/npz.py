@@ -27,7 +27,7 @@ def _write(path: Path, maps: Maps, options: Options) -> Written:
     if maps.valid is not None:
         arrays["valid"] = maps.valid
     if maps.panorama:
-        arrays["projection"] = np.array("equirectangular")
+        arrays["projection"] = np.array(maps.projection)
     if maps.camera is not None:
         arrays |= {"intrinsics": maps.camera.matrix, "camera_source": np.array(maps.camera.source)}
     with atomic_path(path) as temporary, temporary.open("wb") as file:

@@ -57,6 +57,16 @@ class Maps:
             raise InputError("a panorama looks everywhere and has no camera: leave the camera out")
 
     @property
+    def projection(self) -> str:
+        """The way in which the photo shows the world: "perspective", or "equirectangular", which is a panorama's."""
+        return "equirectangular" if self.panorama else "perspective"
+
+    @property
+    def depth_along(self) -> str:
+        """The line along which the depth is measured: the "optical axis", or the "ray" of each pixel of a panorama."""
+        return "ray" if self.panorama else "optical axis"
+
+    @property
     def confidence(self) -> DepthArray | None:
         """1 / (1 + std / depth), in (0, 1]; None without depth or std."""
         return None if self.depth is None or self.std is None else self.depth / (self.depth + self.std)

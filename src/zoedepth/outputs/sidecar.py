@@ -31,7 +31,8 @@ def describe(
     """
     unit = "none: inverse depth up to an unknown scale and shift, near is large" if maps.depth is None else "metre"
     camera = {} if maps.camera is None else {"camera": asdict(maps.camera)}
-    return {**origin, **camera, "unit": unit, **facts, **_statistics(maps), "files": dict(files)}
+    measured = {} if maps.depth is None else {"projection": maps.projection, "depth_along": maps.depth_along}
+    return {**origin, **camera, "unit": unit, **measured, **facts, **_statistics(maps), "files": dict(files)}
 
 
 def _statistics(maps: Maps) -> dict[str, object]:
