@@ -142,6 +142,8 @@ def test_a_file_that_says_it_is_a_panorama_is_one(tmp_path: Path) -> None:
         picture = Image.fromarray(np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8))
         picture.save(tmp_path / f"{name}.jpg", **({} if xmp is None else {"xmp": xmp}))
     assert is_sphere(tmp_path / "sphere.jpg")
+    with (tmp_path / "sphere.jpg").open("rb") as file:
+        assert is_sphere(file)
     assert not is_sphere(tmp_path / "strip.jpg")
     assert not is_sphere(tmp_path / "photo.jpg")
 
