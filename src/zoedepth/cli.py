@@ -126,6 +126,12 @@ def _push() -> Function:
     return push
 
 
+def _serve() -> Function:
+    from zoedepth.commands.serve import serve
+
+    return serve
+
+
 COMMANDS = {
     "demo": Command("show the depth of three photographs, with the error where the depth was measured", _demo),
     "demo-train": Command("train a tiny model in both stages on rendered scenes", _demo_train),
@@ -141,6 +147,11 @@ COMMANDS = {
         "show a photo, a mesh or a cloud in three dimensions, in the browser",
         _view,
         ("out", "cloud", "panorama", "up", "model", "domain"),
+    ),
+    "serve": Command(
+        "serve a page for the browser and an API for programs",
+        _serve,
+        ("host", "port", "model", "open_", "workers", "device", "token_file"),
     ),
     "train": Command("train a recipe, go on with a run, or fine-tune on your own photos", _train, reads_itself=True),
     "evaluate": Command(

@@ -18,6 +18,10 @@ OPTIONAL = {
     "fast_simplification": "mesh",
     "onnx": "onnx", "onnxruntime": "onnx",
     "openvino": "openvino", "nncf": "openvino",
+    "fsspec": "cloud", "s3fs": "cloud", "gcsfs": "cloud", "aiohttp": "cloud", "pyarrow": "cloud",
+    "ray": "ray",
+    "fastapi": "serve", "starlette": "serve", "uvicorn": "serve", "python_multipart": "serve",
+    "prometheus_client": "serve",
 }  # fmt: skip
 """Module that the package can do without → the extra in ``pyproject.toml`` that installs it."""
 

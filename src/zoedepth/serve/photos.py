@@ -1,0 +1,154 @@
+"""A photo that somebody sent: what its header says, checked before a pixel is decoded; and the photo, decoded."""
+
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from typing import NamedTuple
+
+from zoedepth.claims import HEIC_IS_READ, check_claims
+from zoedepth.errors import InputError, InputWarning
+from zoedepth.geometry.choice import CameraChoice
+from zoedepth.geometry.exif import read_exif_camera
+from zoedepth.images import ImageArray, read_image, read_image_with_notes
+from zoedepth.pictures import n_full_pages, open_picture
+from zoedepth.serve.problems import Problem
+
+MEDIA_TYPES = {
+    "JPEG": "image/jpeg",
+    "PNG": "image/png",
+    "WEBP": "image/webp",
+    "AVIF": "image/avif",
+    "TIFF": "image/tiff",
+    "BMP": "image/bmp",
+    "GIF": "image/gif",
+} | ({"HEIF": "image/heic"} if HEIC_IS_READ else {})
+"""Format that is taken, as Pillow names it → its media type."""
+
+_STARTS = {
+    "JPEG": (b"\xff\xd8\xff",),
+    "PNG": (b"\x89PNG\r\n\x1a\n",),
+    "TIFF": (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"),
+    "BMP": (b"BM",),
+    "GIF": (b"GIF87a", b"GIF89a"),
+}
+_AVIF_BRANDS = (b"avif", b"avis")
+
+_heard = threading.local()
+
+
+class _Upload(BytesIO):
+    """A photo in memory, with the name by which errors speak of it."""
+
+    name = "the photo"
+
+
+class Header(NamedTuple):
+    """The claims of a photo's header."""
+
+    format: str
+    """Format, as Pillow names it."""
+    size: tuple[int, int]
+    """(height, width) of the photo as it is stored."""
+
+
+class Decoded(NamedTuple):
+    """A photo that is ready for the model."""
+
+    image: ImageArray
+    """The photo, RGB, upright."""
+    camera: CameraChoice
+    """The camera that was asked for, or the one that the photo's notes tell; "none" where nobody knows it."""
+    camera_note: str
+    """The notes in a few words, see ``DepthMap.camera_note``."""
+    warnings: tuple[str, ...]
+    """Sentences about the photo, see ``read_image``."""
+
+
+def check_photo(content: bytes, *, max_pixels: int) -> Header:
+    """Look at the header of a photo; returns what it says.
+
+    Raises:
+        Problem: it is no photo in a format that is taken, is damaged, has too many pixels, or several frames.
+    """
+    kind = _format(content[:64])
+    taken = ", ".join(MEDIA_TYPES)
+    if kind is None:
+        raise Problem("unsupported-format", f"It does not begin as a photo does. These formats are taken: {taken}.")
+    file = _Upload(content)
+    try:
+        check_claims(file)
+        with open_picture(file, (kind,)) as picture:
+            width, height = picture.size
+            animated = kind != "JPEG" and getattr(picture, "is_animated", False)
+            n_frames = n_full_pages(picture) if kind == "TIFF" else 2 if animated else 1
+    except Exception as error:  # readers raise nearly anything on a damaged header
+        raise Problem(
+            "unreadable-photo", f"The photo cannot be read, it may be cut short or damaged: {error}"
+        ) from error
+    if width * height > max_pixels:
+        raise Problem(
+            "too-many-pixels", f"The photo has {width} x {height} pixels, more than {max_pixels:,}. Send it resized."
+        )
+    if n_frames > 1:
+        raise Problem("several-frames", "The file has several frames or pages. Send the one that you need.")
+    return Header(kind, (height, width))
+
+
+def decode_photo(content: bytes, camera: CameraChoice, *, max_pixels: int) -> Decoded:
+    """Decode a photo as ``zoedepth predict`` does.
+
+    Args:
+        content: the photo's file; ``check_photo`` has passed it.
+        camera: the camera that was asked for, or "exif" for that of the photo's notes.
+        max_pixels: pixels, at most.
+
+    Raises:
+        Problem: it cannot be read.
+    """
+    file = _Upload(content)
+    _heard.warnings = heard = []
+    try:
+        if camera != "exif":
+            return Decoded(read_image(file, max_pixels=max_pixels), camera, "", tuple(heard))
+        image, notes = read_image_with_notes(file, max_pixels=max_pixels)
+        known = read_exif_camera(notes, (image.shape[0], image.shape[1]))
+        return Decoded(image, known.camera or "none", known.reason, tuple(heard))
+    except InputError as error:
+        raise Problem("unreadable-photo", f"{str(error)[:1].upper()}{str(error)[1:]}") from error
+    finally:
+        _heard.warnings = None
+
+
+@contextmanager
+def hear_warnings() -> Iterator[None]:
+    """Let ``decode_photo`` tell the client what reading a photo warns of, until the block ends."""
+    before = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *rest: object) -> None:
+        heard = getattr(_heard, "warnings", None)
+        if issubclass(category, InputWarning) and heard is not None:
+            heard.append(str(message))
+        else:
+            before(message, category, *rest)  # pyright: ignore[reportArgumentType]
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InputWarning)
+        warnings.showwarning = show
+        yield
+
+
+def _format(start: bytes) -> str | None:
+    """Return the format that a file has by its first bytes; None for one that is not taken."""
+    for kind, prefixes in _STARTS.items():
+        if start.startswith(prefixes):
+            return kind
+    if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
+        return "WEBP"
+    if start[4:8] == b"ftyp":
+        length = min(len(start), int.from_bytes(start[:4], "big"))
+        if any(start[place : place + 4] in _AVIF_BRANDS for place in range(8, length, 4)):
+            return "AVIF"
+        return "HEIF" if HEIC_IS_READ else None
+    return None

@@ -1,0 +1,141 @@
+"""The process or processes that serve: uvicorn, a socket, and the end of it all."""
+
+import os
+import signal
+import socket
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import torch
+import uvicorn
+from uvicorn.supervisors import Multiprocess
+
+from zoedepth.batch import cpu_count
+from zoedepth.errors import InputError
+from zoedepth.serve.answers import memory_folder
+from zoedepth.serve.app import Service, create_app
+from zoedepth.serve.metrics import FOLDER_VARIABLE
+from zoedepth.serve.protocol import PatientProtocol
+from zoedepth.serve.settings import Settings
+from zoedepth.weights.exported import is_exported
+from zoedepth.weights.load import find
+
+_BACKLOG = 2048
+_MAX_HEAD = 32_768  # bytes of the head of a request
+_KEEP_ALIVE = 5  # seconds
+
+
+def bind(host: str, port: int) -> socket.socket:
+    """Return a socket that listens at an address.
+
+    Raises:
+        InputError: the address is not one of this machine, or taken, or needs rights.
+    """
+    try:
+        (family, _, _, _, address), *_ = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )
+        listener = socket.socket(family, socket.SOCK_STREAM)
+    except (OSError, OverflowError) as error:
+        raise InputError(f"{host}:{port} is no address of this machine ({error}): choose --host and --port") from error
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(_BACKLOG)
+    except (OSError, OverflowError) as error:
+        listener.close()
+        raise InputError(f"cannot listen at {host}:{port} ({error}): choose another --port, or --host") from error
+    listener.set_inheritable(True)
+    return listener
+
+
+def run(service: Service, settings: Settings, listener: socket.socket, *, access_log: bool = False) -> None:
+    """Serve in this process until a signal ends it: SIGTERM and Ctrl-C finish what is computed, and refuse what waits.
+
+    The signal is raised again at the end. Load the models before, and inside of ``share_cores``.
+
+    Args:
+        service: the application.
+        settings: what it was made of.
+        listener: a socket that listens, see ``bind``.
+        access_log: True logs every request.
+    """
+    uvicorn.Server(_config(service, settings, 1, access_log=access_log)).run([listener])
+
+
+def run_several(settings: Settings, listener: socket.socket, *, workers: int, access_log: bool = False) -> None:
+    """Serve in several processes, each with models and a queue of its own, until a signal ends it, as ``run`` does.
+
+    Args:
+        settings: what is served. Cores are shared among the processes.
+        listener: a socket that listens, see ``bind``.
+        workers: the number of processes. One that dies is replaced.
+        access_log: True logs every request.
+
+    Raises:
+        InputError: there is no such model.
+    """
+    for source in settings.models:
+        if not is_exported(source):
+            find(source)  # downloaded once, and not by all of them
+    settings = replace(settings, threads=settings.threads or max(1, cpu_count() // workers))
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    with _numbers_together():
+        application = partial(_application, settings, workers)
+        processes = _Processes(_config(application, settings, workers, access_log=access_log), [listener])
+        processes.run()
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    signal.raise_signal(processes.ended_by)
+
+
+class _Processes(Multiprocess):
+    """Processes that know which signal has ended them."""
+
+    ended_by = signal.SIGTERM
+
+    def handle_int(self) -> None:
+        self.ended_by = signal.SIGINT
+        super().handle_int()
+
+
+def _config(app: Any, settings: Settings, workers: int, *, access_log: bool) -> uvicorn.Config:
+    return uvicorn.Config(
+        app,
+        factory=workers > 1,
+        loop="asyncio",
+        http=PatientProtocol,
+        ws="none",
+        lifespan="on",
+        workers=workers,
+        backlog=_BACKLOG,
+        proxy_headers=False,
+        server_header=False,
+        access_log=access_log,
+        log_level="info" if access_log else "warning",
+        timeout_keep_alive=_KEEP_ALIVE,
+        timeout_graceful_shutdown=round(settings.limits.grace),
+        timeout_worker_healthcheck=30,
+        h11_max_incomplete_event_size=_MAX_HEAD,
+    )
+
+
+def _application(settings: Settings, workers: int) -> Service:
+    """Make the application in one process of several."""
+    torch.set_num_threads(max(1, cpu_count() // (workers * (settings.threads or 1))))
+    return create_app(settings)
+
+
+@contextmanager
+def _numbers_together() -> Iterator[None]:
+    """Let processes that are started in the block add up their numbers for Prometheus."""
+    with tempfile.TemporaryDirectory(prefix="zoedepth-", dir=memory_folder()) as folder:
+        os.environ[FOLDER_VARIABLE] = folder
+        try:
+            yield
+        finally:
+            del os.environ[FOLDER_VARIABLE]
