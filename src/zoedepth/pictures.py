@@ -1,5 +1,6 @@
 """The picture in a file, opened by Pillow's readers: the full one, whatever else the file holds."""
 
+import re
 import struct
 import warnings
 import zlib
@@ -20,6 +21,11 @@ _KIND_TAG, _PREVIEW_OR_MASK, _OLD_KIND_TAG, _OLD_PREVIEW = 254, 0b101, 255, 2
 _MAX_NOTES = 1 << 20  # bytes of the texts and the profile of a PNG together, unpacked: what Pillow allows for one
 _MAX_UNPACKED = 64 * _MAX_NOTES  # bytes that are unpacked to find that out
 _VALUE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8}  # of EXIF's types
+# In XMP, as attributes or as elements (DJI, "Drone Image Metadata", and exiftool's list of its XMP).
+_CALIBRATED = {b"FocalLength": "focal", b"OpticalCenterX": "x", b"OpticalCenterY": "y"}
+_CALIBRATION = re.compile(
+    rb"drone-dji:Calibrated(FocalLength|OpticalCenter[XY])\s{0,9}(?:=\s{0,9}[\"']|>)\s{0,9}([-+.\deE]{1,32})"
+)
 _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
 
 
@@ -34,6 +40,9 @@ class PhotoNotes:
     """EXIF orientation, 1 to 8, by which the photo is turned upright; 1 where nothing or nonsense is said."""
     panorama: bool = False
     """True if XMP says that it is a panorama: a sphere, a part of one, or a strip."""
+    calibration: Mapping[str, float] = field(default_factory=dict)
+    """Numbers of the maker's own calibration of the camera that XMP has, as DJI's drones write them: "focal" (length),
+    and "x" and "y" of the middle of the lens, all in pixels of the photo as it was taken, from its corner."""
     damage: str = ""
     """The reason why its EXIF could not be read, or not all of it; empty where nothing is wrong."""
 
@@ -55,7 +64,7 @@ def read_notes(picture: Image.Image) -> PhotoNotes:
     orientation = picture.info.get("original_orientation") or tags.get(ExifTags.Base.Orientation)
     if not isinstance(orientation, int) or not 1 <= orientation <= 8:
         orientation = 1
-    return PhotoNotes(tags, orientation, is_panorama(picture), damage)
+    return PhotoNotes(tags, orientation, is_panorama(picture), _calibration(picture), damage)
 
 
 def read_exif(picture: Image.Image) -> Image.Exif:
@@ -117,8 +126,22 @@ def _walk(content: bytes) -> _Walk:
 
 def is_panorama(picture: Image.Image) -> bool:
     """Return True if the XMP of a picture says that it is a panorama."""
+    return _xmp(picture).find(_PANORAMA) >= 0
+
+
+def _xmp(picture: Image.Image) -> bytes:
     notes = picture.info.get("xmp", b"")
-    return (notes if isinstance(notes, bytes) else str(notes).encode()).find(_PANORAMA) >= 0
+    return notes if isinstance(notes, bytes) else str(notes).encode()
+
+
+def _calibration(picture: Image.Image) -> dict[str, float]:
+    """Return ``PhotoNotes.calibration``; what is no number, or said in several ways, is left out."""
+    found = {_CALIBRATED[name]: number for name, number in _CALIBRATION.findall(_xmp(picture))}
+    numbers = {}
+    for name, text in found.items():
+        with suppress(ValueError):
+            numbers[name] = float(text)
+    return numbers
 
 
 def open_picture(file: BinaryFile, formats: Iterable[str]) -> Image.Image:

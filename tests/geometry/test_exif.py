@@ -3,18 +3,20 @@
 import math
 import struct
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import IFDRational
 from tests.geometry.scene import FILM, SIZE, Scene, rendered_room, worst_error
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
-from zoedepth.geometry.exif import read_exif_camera
+from zoedepth.geometry.exif import ExifCamera, read_exif_camera
 from zoedepth.images import read_image, read_image_with_notes, to_image_with_notes
 from zoedepth.pictures import PhotoNotes
 
@@ -284,6 +286,75 @@ class TestDigitalZoom:
     @pytest.mark.parametrize("zoom", [0, 1, 1.01, 0.5, math.nan])
     def test_no_zoom(self, zoom: float) -> None:
         assert focal({**WIDE, ZOOM: zoom}) == pytest.approx(WIDE_PX)
+
+
+class TestCalibration:
+    """DJI's drones write how long their lens is, in pixels of the photo as it was taken."""
+
+    # A Phantom 4 Pro: 24 mm of film are 3648 pixels of its 5472 x 3648.
+    TAGS: ClassVar[dict[int, object]] = {FILM_LENGTH: 24, WIDTH: 5472, HEIGHT: 3648, MAKE: "DJI", MODEL: "FC6310"}
+    NUMBERS: ClassVar[dict[str, float]] = {"focal": 3666.666504, "x": 2736.0, "y": 1824.0}
+
+    def found(self, numbers: dict[str, float], tags: dict[int, object] | None = None) -> ExifCamera:
+        return read_exif_camera(PhotoNotes(self.TAGS if tags is None else tags, calibration=numbers), (3648, 5472))
+
+    @pytest.mark.parametrize("form", ['drone-dji:{}="{}"', "<drone-dji:{0}>{1}</drone-dji:{0}>"])
+    @pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp", ".tif"])
+    def test_is_read_and_scaled_with_the_photo(self, tmp_path: Path, form: str, suffix: str) -> None:
+        names = {"focal": "CalibratedFocalLength", "x": "CalibratedOpticalCenterX", "y": "CalibratedOpticalCenterY"}
+        texts = " ".join(form.format(names[key], f"{number:.6f}") for key, number in self.NUMBERS.items())
+        path = photo_of(tmp_path / f"DJI_0001{suffix}", (171, 114), self.TAGS)
+        with Image.open(path) as photo:
+            photo.load()
+            extra = {"tiffinfo": {700: texts.encode()}} if suffix == ".tif" else {"exif": exif_of(self.TAGS)}
+            if suffix == ".png":
+                text = PngInfo()
+                text.add_itxt("XML:com.adobe.xmp", texts)
+                extra["pnginfo"] = text
+            elif suffix != ".tif":
+                extra["xmp"] = texts.encode()
+            photo.save(path, **extra)
+        image, notes = read_image_with_notes(path)
+        assert notes.calibration == self.NUMBERS
+        if suffix != ".tif":
+            found = read_exif_camera(notes, image.shape[:2])
+            assert_camera(found.camera, 3666.666504 / 32, (114, 171))
+            assert found.reason.startswith("its maker's calibration is 3666.67 pixels, and it had 5472 x 3648 pixels")
+
+    @pytest.mark.parametrize("left_out", ["film", "middle"])
+    def test_one_witness_is_enough(self, left_out: str) -> None:
+        tags = {tag: value for tag, value in self.TAGS.items() if left_out != "film" or tag != FILM_LENGTH}
+        numbers = {key: value for key, value in self.NUMBERS.items() if left_out != "middle" or key == "focal"}
+        assert_camera(self.found(numbers, tags).camera, 3666.666504, (3648, 5472))
+
+    def test_without_a_witness_it_is_not_believed(self) -> None:
+        found = self.found({"focal": 3666.67}, {WIDTH: 5472, HEIGHT: 3648})
+        assert (found.camera, found.reason) == (
+            None, "its maker's calibration is 3666.67 pixels, which nothing else confirms"
+        )  # fmt: skip
+
+    @pytest.mark.parametrize(
+        "numbers",
+        [
+            {**NUMBERS, "focal": 24.0},  # millimetres
+            {**NUMBERS, "focal": 0.0},
+            {**NUMBERS, "focal": math.nan},
+            {**NUMBERS, "focal": math.inf},
+            {"focal": 7333.0},  # twice as many pixels
+            {**NUMBERS, "x": 1368.0, "y": 912.0},
+            {**NUMBERS, "x": math.nan},
+        ],
+    )
+    def test_film_is_believed_where_it_makes_no_sense(self, numbers: dict[str, float]) -> None:
+        by_film = 24 / 43.266615 * math.hypot(5472, 3648)
+        assert_camera(self.found(numbers).camera, by_film, (3648, 5472))
+
+    def test_digital_zoom_is_not_in_it(self) -> None:
+        numbers, tags = self.NUMBERS, {WIDTH: 5472, HEIGHT: 3648, ZOOM: 2.0}
+        assert (
+            self.found(numbers, tags).reason
+            == "its maker's calibration is 3666.67 pixels, without its digital zoom of 2"
+        )
 
 
 class TestSizeWhenTaken:

@@ -20,6 +20,8 @@ _MIN_FOV, _MAX_FOV = 1.0, 170.0  # degrees, along the longer side
 _MIN_SENSOR, _MAX_SENSOR = 2.9, 100.0  # millimetres of diagonal: below the smallest phone's, above medium format
 _MAX_SHAPE = 2.5  # longer by shorter side: what goes beyond was stitched, or is a strip
 _MAX_OBLONG = 1.1  # where the two resolutions of a sensor differ more, one of them is wrong: pixels are square
+_MAX_OFF_MIDDLE = 0.1  # of a side: lenses look through the middle, where a calibration is of a photo of this size
+_MAX_OFF_FILM = 1.25  # makers round the 35-mm equivalent, and some crop after they have measured
 _MIN_ZOOM = 1.02  # digital zoom below changes nothing that matters
 _SAME_FACTOR = 1.01  # two ways to tell how much a photo was resized agree
 _BLOCK = 16  # pixels by which JPEGs are cut without loss: a side shorter by less counts as whole
@@ -49,7 +51,8 @@ class _Unsaid(Exception):
 def read_exif_camera(source: str | Path | BinaryFile | Image.Image | PhotoNotes, size: tuple[int, int]) -> ExifCamera:
     """Return the camera that a photo's notes tell, at the size of the upright photo.
 
-    Three things tell it, the first that makes sense: the focal length in terms of 35-mm film, by the diagonal of the
+    Four things tell it, the first that makes sense: the maker's own calibration in pixels (DJI's drones), where nothing
+    else in the notes speaks against it; the focal length in terms of 35-mm film, by the diagonal of the
     photo; the focal length in millimetres with the resolution of the sensor; the same with the size of the sensor,
     where ``sensors`` knows the model. The size that the photo had when it was taken says what became of it since: in
     the same proportions it was resized; with one side left as it was it was cropped, and is taken to look through its
@@ -83,7 +86,7 @@ def _focal(notes: PhotoNotes, size: tuple[int, int]) -> tuple[float, str]:
     if max(taken) > _MAX_SHAPE * min(taken):
         raise _Unknown(f"it has {taken[0]} x {taken[1]} pixels, the shape of a panorama or a strip")
     complaints: list[str] = []
-    for tell in (_by_film, _by_focal_plane, _by_sensor):
+    for tell in (_by_calibration, _by_film, _by_focal_plane, _by_sensor):
         try:
             focal, known_by = tell(notes, taken)
             fov = 2 * math.degrees(math.atan2(max(taken) / 2, focal))
@@ -97,6 +100,38 @@ def _focal(notes: PhotoNotes, size: tuple[int, int]) -> tuple[float, str]:
         factor, change = _since_taken(taken, now)
         return focal * factor, known_by + change
     raise _Unknown("; ".join(complaints) or "its EXIF does not tell the focal length and what to measure it by")
+
+
+def _by_calibration(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
+    """Return what the maker's calibration says, if something else confirms it.
+
+    Programs that resize a photo copy it as it is, and may change the size that the photo is said to have had.
+    """
+    if (focal := notes.calibration.get("focal")) is None:
+        raise _Unsaid
+    known_by = f"its maker's calibration is {focal:.6g} pixels"
+    if not 0 < focal < math.inf:
+        raise _Unknown(f"{known_by}, which is nonsense")
+    if (zoom := _zoom(notes)) > _MIN_ZOOM:
+        raise _Unknown(f"{known_by}, without its digital zoom of {zoom:g}")
+    middle = notes.calibration.get("x"), notes.calibration.get("y")
+    confirmed = False
+    for place, side in zip(middle, taken, strict=True):
+        if place is not None:
+            if not abs(place - side / 2) <= _MAX_OFF_MIDDLE * side:
+                raise _Unknown(f"{known_by}, of a photo of another size than {taken[0]} x {taken[1]} pixels")
+            confirmed = True
+    try:
+        by_film, film = _by_film(notes, taken)
+    except (_Unsaid, _Unknown):
+        pass
+    else:
+        if not 1 / _MAX_OFF_FILM <= focal / by_film <= _MAX_OFF_FILM:
+            raise _Unknown(f"{known_by}, and {film}, which would be {by_film:.6g} pixels")
+        confirmed = True
+    if not confirmed:
+        raise _Unknown(f"{known_by}, which nothing else confirms")
+    return focal, known_by
 
 
 def _by_film(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
