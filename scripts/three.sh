@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes src/zoedepth/assets/viewer/three.min.js anew: the parts of three.js that viewer.js uses, in one file, with its
-# licence. Needs npm and the network.
+# Makes src/zoedepth/assets/viewer/three.min.js anew: the parts of three.js that viewer.js and the page of the service (serve/page)
+# use, in one file, with its licence. Needs npm and the network.
 set -eu
 version=0.187.0
 target="$(cd "$(dirname "$0")/.." && pwd)/src/zoedepth/assets/viewer/three.min.js"
@@ -10,8 +10,8 @@ cd "$folder"
 npm install --silent --no-save "three@$version" esbuild@0.28.2
 cat > parts.js <<'PARTS'
 export {
-  Box3, BufferGeometry, DirectionalLight, DoubleSide, Group, HemisphereLight, MathUtils, Mesh, MeshBasicMaterial,
-  MeshStandardMaterial, PerspectiveCamera, Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
+  Box3, BufferAttribute, BufferGeometry, DirectionalLight, DoubleSide, Group, HemisphereLight, MathUtils, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, PerspectiveCamera, Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
 } from "three";
 export { OrbitControls } from "three/addons/controls/OrbitControls.js";
 export { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";

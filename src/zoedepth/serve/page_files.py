@@ -5,6 +5,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 FOLDER = Path(__file__).parent / "page"
+SHARED = (Path(__file__).parent.parent / "assets" / "viewer" / "three.min.js",)
+"""Files of other folders that the page uses, too."""
 
 _MEDIA_TYPES = {
     ".html": "text/html; charset=utf-8",
@@ -36,13 +38,14 @@ class PageFile(NamedTuple):
 
 
 def read_page(folder: Path = FOLDER) -> dict[str, PageFile]:
-    """Return all files below the folder by the paths of their addresses; index.html is "/", too."""
+    """Return all files below the folder by the paths of their addresses; index.html is "/", too. And ``SHARED``."""
     found = {}
-    for path in sorted(folder.rglob("*")):
+    named = {path: path.relative_to(folder).as_posix() for path in sorted(folder.rglob("*"))}
+    for path, name in {**named, **{path: path.name for path in SHARED}}.items():
         if path.is_file() and (suffix := path.suffix.lower() or ".txt") in _MEDIA_TYPES:
             content = path.read_bytes()
             tag = f'"{hashlib.sha256(content).hexdigest()[:32]}"'
-            found[f"/{path.relative_to(folder).as_posix()}"] = PageFile(content, _MEDIA_TYPES[suffix], tag)
+            found[f"/{name}"] = PageFile(content, _MEDIA_TYPES[suffix], tag)
     if "/index.html" in found:
         found["/"] = found["/index.html"]
     return found

@@ -1,0 +1,475 @@
+// The page: one photo, what is asked about it, and what the service answers.
+
+import {Problem, Service} from "./api.js";
+import {CameraPanel} from "./camera-panel.js";
+import {colorRange} from "./colors.js";
+import {metres} from "./depth.js";
+import {byId, element, press, save} from "./dom.js";
+import {drawBar, drawRuler, markBar, showReading} from "./legend.js";
+import {Pins} from "./pins.js";
+import {programs} from "./program.js";
+import {Scene} from "./scene.js";
+import {Viewer} from "./viewer.js";
+
+const MOST_SIDE = 4096; // pixels of a photo that is drawn; phones draw no larger ones
+const SURFACE_TRIANGLES = 150_000;
+const UNSURE_SHARES = [0.02, 0.6]; // the share of the pixels that is covered wholly, and the share that is covered at all
+const FILES = [
+  {format: "png", name: "PNG", ending: "_depth.png", what: "16 bits"},
+  {format: "exr", name: "EXR", ending: ".exr", what: "exact metres"},
+  {format: "npz", name: "NPZ", ending: ".npz", what: "all arrays"},
+  {format: "ply", name: "PLY", ending: ".ply", what: "points"},
+  {format: "glb", name: "GLB", ending: ".glb", what: "surface"},
+];
+const CALIBRATION_ENDING = "_calibration.json";
+
+const service = new Service();
+const viewer = new Viewer(byId("stage"), byId("picture"), byId("splitter"));
+const pins = new Pins({viewer, list: byId("pins"), marks: byId("marks"), lines: byId("lines")});
+const cameraPanel = new CameraPanel();
+const scene = new Scene(byId("scene"));
+
+const state = {
+  photo: null, // {blob, name, picture}
+  calibrating: false, // true while metres are put right by what was typed
+  calibration: null, // the service's answer
+  facts: null, depth: null, // of the photo, as the service answered last
+  range: [0, 1], // metres of the first and the last colour
+  references: {}, // focal length in pixels, by the name of the head, at which its metres need no correction
+  surface: null, // the GLB of `depth`, once it was asked for
+  space: null, // null, "cloud" or "surface": what is shown in place of the picture
+};
+let running = null; // an AbortController of what is asked now
+
+// ---------------------------------------------------------------------------------------------- choosing a photo
+
+async function open(blob, name) {
+  hideProblem();
+  running?.abort();
+  waiting();
+  const picture = await decoded(blob);
+  Object.assign(state, {
+    photo: {blob, name, picture}, calibrating: false, calibration: null, facts: null, depth: null, surface: null,
+    references: {},
+  });
+  document.title = `${name} – ZoeDepth`;
+  pins.clear();
+  pins.read(null);
+  cameraPanel.reset();
+  byId("domain").replaceChildren();
+  showPoint(null);
+  showCalibration();
+  byId("about").textContent = name;
+  scene.otherPhoto = true;
+  showSpace(null);
+  byId("start").hidden = true;
+  byId("work").hidden = false;
+  byId("another").hidden = false;
+  viewer.show(picture, null, picture ? [picture.height, picture.width] : undefined);
+  await ask();
+}
+
+/** The upright picture in a file, or null where this browser cannot read its kind. */
+async function decoded(blob) {
+  try {
+    const whole = await createImageBitmap(blob, {imageOrientation: "from-image"});
+    const shrink = MOST_SIDE / Math.max(whole.width, whole.height);
+    if (shrink >= 1) return whole;
+    const small = await createImageBitmap(whole, {
+      resizeWidth: Math.round(whole.width * shrink), resizeHeight: Math.round(whole.height * shrink), resizeQuality: "high",
+    });
+    whole.close();
+    return small;
+  } catch {
+    return null;
+  }
+}
+
+function openFirst(files) {
+  const file = [...files].find((each) => each.size || each.type) ?? files[0];
+  if (file) guarded(() => open(file, file.name || "photo"));
+}
+
+function listenForPhotos() {
+  for (const id of ["choose", "take"]) {
+    byId(id).addEventListener("change", (event) => {
+      openFirst(event.target.files);
+      event.target.value = ""; // the same one may be chosen again
+    });
+  }
+  byId("another").addEventListener("click", () => {
+    running?.abort();
+    byId("work").hidden = true;
+    byId("another").hidden = true;
+    byId("start").hidden = false;
+    document.title = "ZoeDepth";
+    hideProblem();
+    byId("choose").focus();
+  });
+  for (const button of document.querySelectorAll("[data-example]")) {
+    button.addEventListener("click", () => guarded(async () => {
+      const {example} = button.dataset;
+      const response = await fetch(example);
+      if (!response.ok) throw new Problem({title: "The example is missing", detail: "The service did not send it.", status: response.status});
+      await open(await response.blob(), example.split("/").pop());
+    }));
+  }
+  document.addEventListener("paste", (event) => {
+    const {files} = event.clipboardData;
+    if (files.length) {
+      event.preventDefault();
+      openFirst(files);
+    }
+  });
+  const dropping = (wanted) => document.body.classList.toggle("dropping", wanted);
+  document.addEventListener("dragover", (event) => {
+    event.preventDefault();
+    dropping(true);
+  });
+  document.addEventListener("dragleave", (event) => {
+    if (!event.relatedTarget) dropping(false);
+  });
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    dropping(false);
+    openFirst(event.dataTransfer.files);
+  });
+}
+
+// ---------------------------------------------------------------------------------------------- asking the service
+
+/** What the page asks now. */
+function question() {
+  return {
+    photo: state.photo.blob, name: state.photo.name, model: byId("model").value, domain: byId("domain").value || null,
+    camera: cameraPanel.choice, calibration: state.calibration,
+  };
+}
+
+/** Ask for the depth of the photo as everything is set now, and show it. What was being asked before is dropped. */
+async function ask() {
+  running?.abort();
+  const mine = running = new AbortController();
+  const options = {signal: mine.signal, progress: showProgress};
+  showProgress("send", null);
+  try {
+    if (state.calibrating) {
+      state.calibration = await service.calibrate(question(), {...pins.measured, alongRay: byId("along-ray").checked}, options);
+    } else {
+      state.calibration = null;
+    }
+    const answer = await service.maps(question(), options);
+    if (mine.signal.aborted) return;
+    Object.assign(state, {facts: answer.facts, depth: answer.depth, surface: null});
+    learnReference(answer.facts);
+    hideProblem();
+    showAnswer();
+  } catch (error) {
+    if (error.name === "AbortError") return;
+    showProblem(error);
+    if (state.calibrating) { // what was shown holds still
+      state.calibrating = false;
+      if (state.facts) state.calibration = state.facts.calibration ? state.calibration : null;
+    }
+    if (!state.depth) byId("place").textContent = "There is no depth of this photo.";
+    showCalibration();
+  } finally {
+    if (running === mine) {
+      running = null;
+      atRest();
+    }
+  }
+}
+
+/** Say that the page waits for something, which may not yet be worth a word. */
+function waiting() {
+  byId("work").setAttribute("aria-busy", "true");
+}
+
+function atRest() {
+  byId("work").setAttribute("aria-busy", "false");
+  byId("busy").hidden = true;
+}
+
+function showProgress(stage, share) {
+  waiting();
+  const words = {send: "Sending the photo", compute: "Computing depth", receive: "Receiving depth"};
+  byId("busy").hidden = false;
+  byId("busy-text").textContent = words[stage];
+  if (share === null) byId("progress").removeAttribute("value");
+  else byId("progress").value = share;
+}
+
+/** Keep what an answer tells of how the metres depend on the camera: depth is multiplied by focal length / reference. */
+function learnReference({domain, camera, focal_correction: factor}) {
+  if (factor !== 1) state.references[domain] = camera.fy / factor;
+}
+
+/** Show the metres of a camera that was changed at once, where they are known; the service is asked in any case. */
+function rescale() {
+  const {depth, facts} = state, {camera} = cameraPanel, reference = state.references[facts?.domain];
+  if (!depth || !camera || !reference || state.calibrating) return;
+  depth.gain = camera.fy / reference / facts.focal_correction;
+  depth.camera = camera;
+  showDepth();
+}
+
+async function guarded(action) {
+  try {
+    await action();
+  } catch (error) {
+    if (error.name !== "AbortError") showProblem(error);
+  }
+}
+
+function showProblem(error) {
+  if (error.status === 401) {
+    byId("token-form").hidden = false;
+    byId("token").focus();
+  }
+  byId("problem-title").textContent = error instanceof Problem ? `${error.title}.` : "Something went wrong in this page.";
+  byId("problem-detail").textContent = error instanceof Problem ? error.detail : error.message;
+  byId("problem").hidden = false;
+}
+
+function hideProblem() {
+  byId("problem").hidden = true;
+}
+
+// ---------------------------------------------------------------------------------------------- showing the answer
+
+function showAnswer() {
+  const {facts, depth, photo} = state;
+  viewer.show(photo.picture, depth, [depth.height, depth.width]);
+  cameraPanel.show(facts);
+  showDomains();
+  showCalibration();
+  const sure = facts.domain_probability?.[facts.domain];
+  const scene = Object.keys(facts.domain_probability ?? {}).length > 1 ? `, ${facts.domain} (${Math.round(100 * sure)} %)` : "";
+  const unseen = photo.picture ? "" : ". This browser cannot show this kind of photo, but its depth";
+  byId("about").textContent = `${photo.name}, ${depth.width} × ${depth.height}${scene}${unseen}`;
+  byId("confidence-label").hidden = !depth.std;
+  showDepth();
+  if (state.space) guarded(() => showSpace(state.space));
+}
+
+/** Show the depth in its colours, and everything that is read from it. */
+function showDepth() {
+  const {depth} = state;
+  if (!depth) return;
+  const typed = (id) => byId(id).valueAsNumber > 0 || byId(id).value === "0" ? byId(id).valueAsNumber : undefined;
+  const fixed = {near: typed("near"), far: typed("far")};
+  const contrary = fixed.near >= fixed.far;
+  byId("far").setCustomValidity(contrary ? "must be beyond the near one" : "");
+  state.range = colorRange(depth, contrary ? {} : fixed);
+  const colormap = byId("colormap").value, overlay = byId("confidence").checked && depth.std !== null;
+  byId("unsure-chip").hidden = byId("confidence-hint").hidden = !overlay;
+  viewer.paint({colormap, range: state.range, confidence: overlay ? depth.confidences(UNSURE_SHARES) : null});
+  drawBar({bar: byId("bar"), marks: byId("ticks"), text: byId("legend-text")}, colormap, state.range);
+  pins.read(depth);
+  showPoint(viewer.cursor);
+}
+
+function showPoint(pixel) {
+  const {depth} = state;
+  const reading = pixel && depth ? depth.read(pixel) : null;
+  const usable = reading?.valid ? reading.depth : null;
+  showReading({value: byId("value"), place: byId("place"), cursor: byId("cursor")}, viewer, reading);
+  byId("cursor").hidden ||= pins.has(pixel ?? {}); // the pin says the same
+  markBar(byId("bar-mark"), usable, state.range);
+  if (depth) drawRuler(byId("ruler"), viewer, depth, usable ?? depth.quantiles([0.5])[0]);
+  else byId("ruler").hidden = true;
+}
+
+function showDomains() {
+  const {facts} = state, select = byId("domain"), names = Object.keys(facts.domain_probability ?? {});
+  byId("domain-label").hidden = names.length < 2;
+  if (select.options.length) return;
+  select.append(new Option("as the model finds", ""), ...names.map((name) => new Option(name, name)));
+}
+
+function showCalibration() {
+  const found = state.calibration?.calibration, {readings, distances} = pins.measured;
+  byId("calibrated").hidden = !found;
+  if (found) {
+    const percent = (share) => `${Math.round(100 * share)} %`;
+    const left = found.readings.filter((reading) => reading.outlier).length;
+    const outliers = left ? ` ${left} of ${found.n_readings} did not fit the others and ${left > 1 ? "were" : "was"} left out.` : "";
+    byId("calibrated-text").textContent = `Calibrated: all metres times ${found.scale.toFixed(3)}. Four pixels of five are `
+      + `expected to be right within ${percent(found.expected_error)}.${outliers}`;
+  }
+  byId("no-pins").hidden = pins.pins.length > 0;
+  byId("calibrate-tools").hidden = pins.pins.length === 0;
+  byId("calibrate").disabled = !readings.length && !distances.length;
+  byId("calibrate").textContent = found ? "Calibrate again" : "Calibrate";
+  byId("file-calibration").disabled = !found;
+  showProgram();
+}
+
+// ---------------------------------------------------------------------------------------------- three dimensions
+
+async function showSpace(kind) {
+  state.space = kind;
+  const flat = kind === null;
+  press(...flat ? [byId("show-picture"), byId("show-space")] : [byId("show-space"), byId("show-picture")]);
+  byId("stage").hidden = !flat;
+  byId("zoom-tools").hidden = !flat;
+  byId("space").hidden = flat;
+  if (flat || !state.depth) return;
+  press(...kind === "cloud" ? [byId("show-cloud"), byId("show-surface")] : [byId("show-surface"), byId("show-cloud")]);
+  const {depth, photo} = state;
+  try {
+    await scene.start();
+  } catch (error) {
+    byId("extent").textContent = `Three dimensions cannot be shown here: ${error.message}`;
+    return;
+  }
+  let what;
+  if (kind === "cloud") {
+    what = `${scene.showPoints(depth, photo.picture).toLocaleString("en")} points`;
+  } else {
+    byId("extent").textContent = "";
+    state.surface ??= await (await fetchFile("glb", {max_triangles: SURFACE_TRIANGLES})).arrayBuffer();
+    if (state.depth !== depth || state.space !== kind) return; // something else is wanted by now
+    what = `${Math.round(await scene.showSurface(state.surface, depth)).toLocaleString("en")} triangles`;
+  }
+  const [width, height, far] = scene.extent.map(metres);
+  byId("extent").textContent = `${what}; ${width} wide, ${height} high, ${far} deep`;
+}
+
+// ---------------------------------------------------------------------------------------------- files and programs
+
+async function fetchFile(format, query = {}) {
+  const mine = running = new AbortController();
+  showProgress("send", null);
+  try {
+    return await service.file(question(), {format, ...query}, {signal: mine.signal, progress: showProgress});
+  } finally {
+    if (running === mine) {
+      running = null;
+      atRest();
+    }
+  }
+}
+
+function listFiles(formats) {
+  const stem = () => state.photo.name.replace(/\.[^.]*$/, "");
+  const tile = (name, what, action) => {
+    const button = element("button", {type: "button"}, name, element("small", {textContent: what}));
+    button.addEventListener("click", () => guarded(action));
+    byId("files").append(element("li", {}, button));
+    return button;
+  };
+  for (const {format, name, ending, what} of FILES) {
+    const known = formats.find((each) => each.name === format || each.aliases?.includes(format));
+    const button = tile(name, what, async () => save(await fetchFile(format), `${stem()}${ending}`));
+    button.id = `file-${format}`;
+    if (known && !known.available) {
+      button.disabled = true;
+      button.lastElementChild.textContent = "not installed";
+    }
+  }
+  const calibration = tile("JSON", "calibration", () => {
+    save(new Blob([`${JSON.stringify(state.calibration, null, 2)}\n`], {type: "application/json"}), `${stem()}${CALIBRATION_ENDING}`);
+  });
+  calibration.id = "file-calibration";
+  calibration.disabled = true;
+}
+
+function showProgram() {
+  if (!state.photo) return;
+  const {curl, python} = programs(service.root, question(), {token: service.token !== null});
+  byId("code").textContent = byId("show-curl").getAttribute("aria-pressed") === "true" ? curl : python;
+  byId("copied").textContent = "";
+}
+
+async function copyProgram() {
+  const text = byId("code").textContent;
+  try {
+    await navigator.clipboard.writeText(text);
+    byId("copied").textContent = "Copied.";
+  } catch { // only https and this machine itself may write to the clipboard
+    getSelection().selectAllChildren(byId("code"));
+    byId("copied").textContent = "Selected: copy it with Ctrl+C.";
+  }
+}
+
+// ---------------------------------------------------------------------------------------------- everything together
+
+function listen() {
+  listenForPhotos();
+  viewer.addEventListener("point", (event) => showPoint(event.detail));
+  viewer.addEventListener("view", () => showPoint(viewer.cursor));
+  viewer.addEventListener("pick", (event) => pins.add(event.detail));
+  viewer.addEventListener("undo", () => pins.removeLast());
+  pins.addEventListener("change", () => {
+    showCalibration();
+    showPoint(viewer.cursor);
+  });
+  pins.addEventListener("measured", showCalibration);
+  byId("nearer").addEventListener("click", () => viewer.nearer());
+  byId("farther").addEventListener("click", () => viewer.farther());
+  byId("fit").addEventListener("click", () => viewer.fit());
+  byId("clear-pins").addEventListener("click", () => pins.clear());
+  byId("calibrate").addEventListener("click", () => {
+    state.calibrating = true;
+    ask();
+  });
+  byId("uncalibrate").addEventListener("click", () => {
+    state.calibrating = false;
+    ask();
+  });
+  cameraPanel.addEventListener("change", () => {
+    waiting();
+    rescale();
+  });
+  cameraPanel.addEventListener("settled", () => {
+    if (state.photo) ask();
+  });
+  for (const id of ["model", "domain"]) {
+    byId(id).addEventListener("change", () => {
+      if (id === "model") { // another model has other heads
+        byId("domain").replaceChildren();
+        state.references = {};
+      }
+      if (state.photo) ask();
+    });
+  }
+  for (const id of ["colormap", "near", "far", "confidence"]) byId(id).addEventListener("input", showDepth);
+  byId("show-picture").addEventListener("click", () => guarded(() => showSpace(null)));
+  byId("show-space").addEventListener("click", () => guarded(() => showSpace("cloud")));
+  byId("show-cloud").addEventListener("click", () => guarded(() => showSpace("cloud")));
+  byId("show-surface").addEventListener("click", () => guarded(() => showSpace("surface")));
+  byId("home").addEventListener("click", () => scene.home());
+  byId("augmented").addEventListener("click", () => guarded(() => scene.augment()));
+  byId("stop").addEventListener("click", () => running?.abort());
+  byId("problem-close").addEventListener("click", hideProblem);
+  byId("show-curl").addEventListener("click", () => {
+    press(byId("show-curl"), byId("show-python"));
+    showProgram();
+  });
+  byId("show-python").addEventListener("click", () => {
+    press(byId("show-python"), byId("show-curl"));
+    showProgram();
+  });
+  byId("copy").addEventListener("click", copyProgram);
+  byId("token-form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    service.token = byId("token").value;
+    byId("token-form").hidden = true;
+    hideProblem();
+    guarded(start);
+  });
+}
+
+/** Ask what there is to choose from. */
+async function start() {
+  const {models, default: chosen, formats = []} = await service.models();
+  byId("model").replaceChildren(...models.map(({name}) => new Option(name, name, false, name === chosen)));
+  if (!byId("files").children.length) listFiles(formats);
+  if (state.photo) await ask();
+}
+
+listen();
+Scene.canAugment().then((can) => { byId("augmented").hidden = !can; });
+guarded(start);
