@@ -4,9 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from zoedepth.data.facts import Facts, parse_facts, read_defaults
+from zoedepth.data.facts import Facts, camera_of_photo, parse_facts, read_defaults
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 
 CAMERA = Intrinsics(5, 6, 7, 8)
 
@@ -71,3 +72,12 @@ def test_defaults_are_in_a_file_of_the_folder_or_there_are_none(tmp_path: Path) 
     (tmp_path / "dataset.json").write_text(" " * 2_000_000)
     with pytest.raises(InputError, match=r"dataset\.json is longer than"):
         read_defaults(tmp_path)
+
+
+def test_a_lens_becomes_the_camera_of_its_photo_if_it_can_be_one() -> None:
+    assert camera_of_photo(None, (30, 40)) is None
+    assert camera_of_photo(CAMERA, (30, 40)) == CAMERA
+    assert camera_of_photo(Lens(focal_px=25), (30, 40)) == Intrinsics(25, 25, 19.5, 14.5)
+    assert camera_of_photo(Lens(focal_px=518.8579), (480, 640)) == Intrinsics(518.8579, 518.8579, 319.5, 239.5)
+    for number in (1, 50, 1e5):  # none, millimetres, a wrong unit
+        assert camera_of_photo(Lens(focal_px=number), (480, 640)) is None

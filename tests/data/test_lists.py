@@ -107,6 +107,14 @@ class TestBTS:
         assert [dataset[i].target[0].tolist() for i in range(3)] == [[[0.5, 2]]] * 3
         assert (dataset[0].name, dataset[0].domain, dataset[0].camera) == ("photo.jpg", "indoor", None)
 
+    def test_focal_length_is_the_camera_unless_the_whole_of_it_is_said(self, folder: Path):
+        path = bts(folder, "photo.jpg depth.png 1.5\nphoto.jpg depth.png 0\nphoto.jpg depth.png nan\n")
+        dataset = PairDataset(path, depth_scale=1000, domain="indoor")
+        cameras = [dataset[i].camera for i in range(3)]
+        assert cameras == [Intrinsics(1.5, 1.5, 0.5, 0.0), None, None]
+        (folder / "dataset.json").write_text('{"cam_in": [1, 2, 3, 4]}')
+        assert PairDataset(path, depth_scale=1000, domain="indoor")[0].camera == Intrinsics(1, 2, 3, 4)
+
     def test_unit_and_domain_may_stand_beside_it(self, folder: Path):
         (folder / "dataset.json").write_text('{"depth_scale": 500, "domain": "hall"}')
         sample = PairDataset(bts(folder, "photo.jpg depth.png 518.8579"))[0]

@@ -4,13 +4,17 @@ from pathlib import Path
 
 import pytest
 
-from zoedepth.data.text_lists import read_text_list
+from zoedepth.data.text_lists import FOCAL, read_text_list
 from zoedepth.errors import InputError
 
 
 def pairs(folder: Path, text: str, name: str = "list.txt") -> list[tuple[str, str]]:
+    return [(row["image"], row["depth"]) for row in rows(folder, text, name)]
+
+
+def rows(folder: Path, text: str, name: str = "list.txt") -> list[dict[str, str]]:
     (folder / name).write_text(text)
-    return [(row["image"], row["depth"]) for _, row in read_text_list(folder / name, folder)]
+    return [row for _, row in read_text_list(folder / name, folder)]
 
 
 @pytest.mark.parametrize(
@@ -24,7 +28,8 @@ def pairs(folder: Path, text: str, name: str = "list.txt") -> list[tuple[str, st
     ],
 )
 def test_names_may_have_blanks(tmp_path: Path, line: str) -> None:
-    assert pairs(tmp_path, f"{line}\n") == [("my room/rgb/0.jpg", "my room/depth/0.png")]
+    focal = {FOCAL: "518.8579"} if "518" in line else {}
+    assert rows(tmp_path, f"{line}\n") == [{"image": "my room/rgb/0.jpg", "depth": "my room/depth/0.png", **focal}]
 
 
 def test_name_with_blanks_may_have_no_depth(tmp_path: Path) -> None:
@@ -52,8 +57,8 @@ def test_comments_and_empty_lines_are_left_out_and_counted(tmp_path: Path) -> No
 @pytest.mark.parametrize("rest", ["", " 0.1 0.2 0.3 0 0 0 1"], ids=["four columns", "with a pose"])
 def test_associations_of_tum(tmp_path: Path, rest: str) -> None:
     line = "1305031102.175304 rgb/1305031102.175304.png 1305031102.160407 depth/1305031102.160407.png"
-    found = pairs(tmp_path, f"# associated\n{line}{rest}\n")
-    assert found == [("rgb/1305031102.175304.png", "depth/1305031102.160407.png")]
+    found = rows(tmp_path, f"# associated\n{line}{rest}\n")
+    assert found == [{"image": "rgb/1305031102.175304.png", "depth": "depth/1305031102.160407.png"}]
 
 
 def test_folders_say_where_depth_comes_first(tmp_path: Path) -> None:

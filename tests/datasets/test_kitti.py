@@ -68,10 +68,15 @@ def test_depth_may_lie_in_a_folder_of_its_own(tmp_path: Path):
     assert KITTI(tmp_path)[0].mask.any()
 
 
-def test_without_calibration_the_camera_is_unknown(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("word", "known"), [(" 100.5", True), ("", False), (" 0", False), (" 2", False), (" x", False)]
+)
+def test_without_calibration_the_list_says_the_focal_length(tmp_path: Path, word: str, known: bool):
     write_kitti(tmp_path, "train")
     (tmp_path / "2011_09_26/calib_cam_to_cam.txt").unlink()
-    assert KITTI(tmp_path)[0].camera is None
+    path = tmp_path / "kitti_eigen_train_files_with_gt.txt"
+    path.write_text(path.read_text().replace(" 721.5377", word))
+    assert KITTI(tmp_path)[0].camera == (Intrinsics(100.5, 100.5, 61.5, 18.0) if known else None)
 
 
 @pytest.mark.parametrize("line", ["photo.png", "../../etc/passwd None 1"])

@@ -7,10 +7,13 @@ from pathlib import Path
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.stored import read_json
 
 DEFAULTS_FILE = "dataset.json"
 """Name of the file beside the data that says what holds for all of it."""
+
+_MIN_FOV, _MAX_FOV = 5.0, 140.0  # degrees
 
 _CAMERA = ("fx", "fy", "cx", "cy")
 
@@ -78,6 +81,18 @@ def parse_facts(row: Mapping[str, object], where: str) -> Facts:
                 f"{_short(row['max_depth'])}"
             )
     return Facts(scale, str(domain) if domain else None, _parse_camera(row, where), max_depth)
+
+
+def camera_of_photo(known: Intrinsics | Lens | None, size: tuple[int, int]) -> Intrinsics | None:
+    """Return the camera of a photo of ``size`` (height, width); None where nobody knows it.
+
+    A lens looks through the middle of the photo. Lists in which nobody needed the focal length may have any number in
+    its place: one that would see less than 5 or more than 140 degrees along the longer side says nothing.
+    """
+    if not isinstance(known, Lens):
+        return known
+    camera = known.camera(size)
+    return camera.intrinsics if _MIN_FOV <= max(camera.fov_x, camera.fov_y) <= _MAX_FOV else None
 
 
 def read_defaults(folder: Path) -> Facts:

@@ -9,9 +9,10 @@ from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts
 from zoedepth.data.names import Finder
 from zoedepth.data.sample import Target
 from zoedepth.data.tables import has_header, read_lines, read_table
-from zoedepth.data.text_lists import MISSING, read_text_list
+from zoedepth.data.text_lists import FOCAL, MISSING, read_text_list
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.stored import DEPTH_SUFFIXES, declared_scale, parse_json
 
 
@@ -26,8 +27,8 @@ class Pair:
     scale: float | None
     """Depth: the stored value of one metre, None where the list does not say it. Disparity: 1."""
     domain: str
-    camera: Intrinsics | None = None
-    """The camera at the size of the photo."""
+    camera: Intrinsics | Lens | None = None
+    """The camera at the size of the photo; a lens where the list says no more than its focal length."""
     mask: Path | None = None
     """A PNG, not zero where the target is valid."""
     max_depth: float | None = None
@@ -123,9 +124,17 @@ def _parse(row: Mapping[str, object], finder: Finder, where: str, defaults: Fact
         kind,
         said.depth_scale if kind == "depth" else 1.0,
         facts.domain or "",
-        facts.camera,
+        facts.camera or _lens(row.get(FOCAL)),
         None if mask in (None, "", MISSING) else finder.find(mask, where),
         facts.max_depth,
     )
     check_unit(pair, defaults, where)
     return pair
+
+
+def _lens(focal: object) -> Lens | None:
+    """Return the lens of a focal length in a text list; None for a number that no lens has, such as 0."""
+    try:
+        return None if focal is None else Lens(focal_px=float(str(focal)))
+    except InputError:
+        return None

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from torch.utils.data import Dataset
 
-from zoedepth.data.facts import Facts, read_defaults
+from zoedepth.data.facts import Facts, camera_of_photo, read_defaults
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
 from zoedepth.data.names import other_capitals
@@ -126,11 +126,12 @@ class PairDataset(Dataset[Sample]):
         """
         pair = self.pairs[index]
         photo, orientation = read_image_with_orientation(pair.image)
+        camera = camera_of_photo(pair.camera, (photo.shape[0], photo.shape[1]))
         return to_sample(
             photo,
             None if pair.target is None else read_stored(pair.target),
             kind=pair.kind,
-            facts=Facts(pair.scale, pair.domain, pair.camera, pair.max_depth or self.max_depth),
+            facts=Facts(pair.scale, pair.domain, camera, pair.max_depth or self.max_depth),
             default_scale=self._default_scale,
             mask=None if pair.mask is None else read_mask(pair.mask),
             name=_name(pair.image, self._root),

@@ -13,6 +13,8 @@ from zoedepth.stored import DEPTH_SUFFIXES
 
 MISSING = "None"
 """The word that stands in a list where a photo has no depth."""
+FOCAL = "focal length of a text list"
+"""The key of the third word of a line ``photo depth focal``, which no column of a table can be."""
 
 _PHOTOS, _DEPTHS = "rgb.txt", "depth.txt"
 _PHOTO_FOLDERS = {"rgb", "color", "colour", "image", "images"}
@@ -21,7 +23,7 @@ _WORD = re.compile(r'"([^"]*)"|(\S+)')
 
 
 def read_text_list(path: Path, root: Path) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield (place for messages, {"image": its path, "depth": its path}) of a list's lines.
+    """Yield (place for messages, {"image": its path, "depth": its path}) of a list's lines, with a ``FOCAL`` if said.
 
     A line is ``photo depth``, ``photo depth focal``, or ``time photo time depth`` as in TUM's ``associations.txt``, and
     has blanks, tabs or quotation marks around names that have blanks. Comments begin with #. TUM's ``rgb.txt``, with
@@ -40,10 +42,10 @@ def read_text_list(path: Path, root: Path) -> Iterator[tuple[str, dict[str, str]
             yield from _by_time(path, row)
             return
         timed = False
-        photo, depth = _split(line, where, root)
+        photo, depth, focal = _split(line, where, root)
         if _is_swapped(photo, depth):
             photo, depth = depth, photo
-        yield where, {"image": photo, "depth": depth}
+        yield where, {"image": photo, "depth": depth} | ({FOCAL: focal} if focal else {})
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
@@ -52,8 +54,8 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
             yield f"{path}, line {number}", line
 
 
-def _split(line: str, where: str, root: Path) -> tuple[str, str]:
-    """Return the photo and the depth of a line."""
+def _split(line: str, where: str, root: Path) -> tuple[str, str, str]:
+    """Return the photo, the depth and the focal length of a line; "" where it has none."""
     if "\t" in line:
         words = [word for part in line.split("\t") if (word := part.strip())]
     else:
@@ -61,10 +63,10 @@ def _split(line: str, where: str, root: Path) -> tuple[str, str]:
     if len(words) < 2:
         raise InputError(f"{where}: needs a photo and its depth (or {MISSING}); it has only {line[:200]!r}")
     if len(words) == 2 or (len(words) == 3 and _is_number(words[2])):
-        return words[0], words[1]
+        return words[0], words[1], words[2] if len(words) == 3 else ""
     names, numbers = words[1:4:2], [words[0], *words[2:3], *words[4:]]
     if len(words) > 3 and all(map(_is_number, numbers)) and not any(map(_is_number, names)):
-        return words[1], words[3]
+        return words[1], words[3], ""
     if len(line) > _LONGEST or not (found := _split_at_blanks(line, root)):
         raise InputError(
             f"{where}: cannot tell where the photo ends and its depth begins in {line[:200]!r}. Write photo depth, "
@@ -73,10 +75,10 @@ def _split(line: str, where: str, root: Path) -> tuple[str, str]:
     return found
 
 
-def _split_at_blanks(line: str, root: Path) -> tuple[str, str] | None:
-    """Return the photo and the depth of a line whose names have blanks; None where it could be this or that."""
-    rest, _, last = line.rpartition(" ")
-    line = rest.rstrip() if _is_number(last) else line
+def _split_at_blanks(line: str, root: Path) -> tuple[str, str, str] | None:
+    """Return what ``_split`` does of a line whose names have blanks; None where it could be this or that."""
+    rest, _, focal = line.rpartition(" ")
+    line, focal = (rest.rstrip(), focal) if _is_number(focal) else (line, "")
     splits = [(line[: blank.start()], line[blank.end() :]) for blank in re.finditer(r"\s+", line)]
     fitting = [
         (photo, depth)
@@ -85,7 +87,7 @@ def _split_at_blanks(line: str, root: Path) -> tuple[str, str] | None:
     ]
     if len(fitting) > 1:
         fitting = [names for names in fitting if all(_exists(root, name) for name in names)]
-    return fitting[0] if len(fitting) == 1 else None
+    return (*fitting[0], focal) if len(fitting) == 1 else None
 
 
 def _timed(line: str) -> tuple[float, str] | None:

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from zoedepth.data.facts import camera_of_photo
 from zoedepth.datasets.published import About, PairFiles, PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.stored import read_png, read_text
 
 
@@ -39,7 +41,7 @@ kitti_eigen_train_files_with_gt.txt, kitti_eigen_test_files_with_gt.txt     (fro
             if len(row) < 2:
                 raise InputError(self.explain(f"line {number} of the list must name a photo and its depth"))
             target = None if row[1] == "None" else self.inside(f"{folder}/{row[1]}")
-            pairs.append(PairFiles(self.inside(row[0]), target))
+            pairs.append(PairFiles(self.inside(row[0]), target, lens=_lens(row[2:])))
         return pairs
 
     def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
@@ -50,8 +52,8 @@ kitti_eigen_train_files_with_gt.txt, kitti_eigen_test_files_with_gt.txt     (fro
     def read_camera(self, pair: PairFiles, size: tuple[int, int]) -> Intrinsics | None:
         # <date>/<drive>/image_02/data/<frame>.png
         calibration = pair.image.parents[3] / "calib_cam_to_cam.txt"
-        if not calibration.is_file():
-            return None
+        if not calibration.is_file():  # BTS's list has the focal lengths of the calibrations
+            return camera_of_photo(pair.lens, size)
         for line in read_text(calibration).splitlines():
             if line.startswith(f"P_rect_{pair.image.parents[1].name.removeprefix('image_')}:"):
                 try:
@@ -60,3 +62,11 @@ kitti_eigen_train_files_with_gt.txt, kitti_eigen_test_files_with_gt.txt     (fro
                 except (ValueError, IndexError) as error:
                     raise InputError(f"{calibration}: {line[:9]} is not a matrix of 12 numbers ({error})") from error
         raise InputError(f"{calibration} has no P_rect of {pair.image.parents[1].name}: unpack the calibration again")
+
+
+def _lens(words: list[str]) -> Lens | None:
+    """Return the lens of the third word of a line of the list, where it is one."""
+    try:
+        return Lens(focal_px=float(words[0]))
+    except (IndexError, ValueError, InputError):
+        return None

@@ -16,6 +16,7 @@ from zoedepth.data.fit import says_how_it_lies
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.geometry.lens import Lens
 from zoedepth.images import ImageArray, read_image_with_orientation
 from zoedepth.stored import read_text
 
@@ -57,6 +58,8 @@ class PairFiles:
     """Files that say where the target is valid."""
     camera: Path | None = None
     """The file of the intrinsics, where each photo or scene has one."""
+    lens: Lens | None = None
+    """The focal length that the set's own list has for the photo."""
 
     @property
     def files(self) -> tuple[Path, ...]:
