@@ -28,7 +28,7 @@ from zoedepth.serve.guard import Guard, Receive, Scope, Send
 from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.page_files import PageFile, read_page
 from zoedepth.serve.photos import MEDIA_TYPES, Decoded, hear_warnings
-from zoedepth.serve.problems import Problem
+from zoedepth.serve.problems import GONE, ClientGone, Problem
 from zoedepth.serve.protocol import CLOSE, IDLE
 from zoedepth.serve.schemas import (
     CalibratedQuery,
@@ -141,6 +141,7 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
             return await engine.compute(parts[PHOTO], wanted, finish, gone=gone)
         finally:
             watcher.cancel()
+            gone.cancel()  # whatever has not begun for this request shall not begin
 
     def named(query: PredictionQuery) -> Model:
         return engine.model(query.wanted())
@@ -281,6 +282,10 @@ def _add_handlers(app: FastAPI) -> None:
     @app.exception_handler(Problem)
     async def problem(request: Request, error: Problem) -> Response:
         return _refusal(error)
+
+    @app.exception_handler(ClientGone)
+    async def nobody_waits(request: Request, error: ClientGone) -> Response:
+        return Response(status_code=GONE)
 
     @app.exception_handler(HTTPException)
     async def no_route(request: Request, error: HTTPException) -> Response:

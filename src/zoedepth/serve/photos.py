@@ -12,7 +12,7 @@ from zoedepth.errors import InputError, InputWarning
 from zoedepth.geometry.choice import CameraChoice
 from zoedepth.geometry.exif import read_exif_camera
 from zoedepth.images import ImageArray, read_image, read_image_with_notes
-from zoedepth.pictures import n_full_pages, open_picture
+from zoedepth.pictures import is_panorama, n_full_pages, open_picture
 from zoedepth.serve.problems import Problem
 
 MEDIA_TYPES = {
@@ -81,6 +81,7 @@ def check_photo(content: bytes, *, max_pixels: int) -> Header:
         check_claims(file)
         with open_picture(file, (kind,)) as picture:
             width, height = picture.size
+            sphere = is_panorama(picture) and abs(max(width, height) - 2 * min(width, height)) <= 2
             animated = kind != "JPEG" and getattr(picture, "is_animated", False)
             n_frames = n_full_pages(picture) if kind == "TIFF" else 2 if animated else 1
     except Exception as error:  # readers raise nearly anything on a damaged header
@@ -93,6 +94,12 @@ def check_photo(content: bytes, *, max_pixels: int) -> Header:
         )
     if n_frames > 1:
         raise Problem("several-frames", "The file has several frames or pages. Send the one that you need.")
+    if sphere:
+        raise Problem(
+            "panorama",
+            "It is a panorama of 360 x 180 degrees, and a model takes it for an ordinary photo. `zoedepth predict` looks "
+            "at it in parts.",
+        )
     return Header(kind, (height, width))
 
 
@@ -127,9 +134,9 @@ def hear_warnings() -> Iterator[None]:
     before = warnings.showwarning
 
     def show(message: Warning | str, category: type[Warning], *rest: object) -> None:
-        heard = getattr(_heard, "warnings", None)
-        if issubclass(category, InputWarning) and heard is not None:
-            heard.append(str(message))
+        if issubclass(category, InputWarning):  # the model is given an array, of which the same is said again
+            if (heard := getattr(_heard, "warnings", None)) is not None:
+                heard.append(str(message))
         else:
             before(message, category, *rest)  # pyright: ignore[reportArgumentType]
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 PREFIX = "urn:zoedepth:problem:"
 MEDIA_TYPE = "application/problem+json"
+GONE = 499
+"""Status by which requests are counted whose clients hung up. Nobody is told it."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ KINDS = {
     "unreadable-photo": Kind(422, "The photo cannot be read"),
     "several-frames": Kind(422, "The file has several frames or pages"),
     "busy": Kind(429, "Too many requests wait already", retry_after=2),
+    "panorama": Kind(422, "The photo is a panorama of everything around"),
     "internal-error": Kind(500, "There is a fault in the service"),
     "waited-too-long": Kind(503, "The request waited too long for its turn", retry_after=10),
     "took-too-long": Kind(503, "The request took too long", retry_after=30),

@@ -1,0 +1,514 @@
+"""The page of the service in a real browser, against the service itself.
+
+What the page says is compared with what the API answers to a program, and what it draws with what it says: each pixel
+of the photo has a colour of its own, so that a picture of the screen tells which pixel lies under the pointer.
+"""
+
+import io
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from threading import Thread
+from time import monotonic, sleep
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+import torch
+import uvicorn
+from PIL import Image
+from plyfile import PlyData
+
+from zoedepth import read_depth, save_model
+from zoedepth.colors import colorize
+from zoedepth.config import ModelConfig
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.serve.app import create_app
+from zoedepth.serve.page_files import FOLDER, read_page
+from zoedepth.serve.server import bind
+from zoedepth.serve.settings import Settings
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Page, Request
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
+WIDTH, HEIGHT = 96, 72
+LONGEST = 60.0  # seconds to wait for anything, on however slow a machine
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium: apt install chromium")
+
+
+def photo() -> np.ndarray:
+    """Return a picture whose pixels tell their own column (red) and row (green)."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    return np.stack([columns * 2, rows * 3, (rows // 9 + columns // 12) % 2 * 200], axis=-1).astype(np.uint8)
+
+
+def png(image: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(image).save(file, format="PNG")
+    return file.getvalue()
+
+
+PHOTO = png(photo())
+
+
+@dataclass
+class Service:
+    """The service in a thread, and what it answers to a program."""
+
+    url: str
+    call: Any
+    """Playwright's way to send requests without a browser."""
+
+    def post(self, path: str, **parts: Any) -> Any:
+        answer = self.call.post(self.url + path, multipart={"photo": PHOTO_PART, **parts})
+        assert answer.ok, answer.text()
+        return answer
+
+    def arrays(self, query: str = "", **parts: Any) -> dict[str, np.ndarray]:
+        with np.load(io.BytesIO(self.post(f"v1/depth?format=npz{query}", **parts).body())) as arrays:
+            return dict(arrays)
+
+
+PHOTO_PART = {"name": "pixels.png", "mimeType": "image/png", "buffer": PHOTO}
+
+
+@dataclass
+class Visit:
+    """A look at the page, and everything that must not happen meanwhile."""
+
+    page: "Page"
+    hosts: set[str] = field(default_factory=set)
+    complaints: list[str] = field(default_factory=list)
+
+    def upload(self, name: str = "pixels.png", content: bytes = PHOTO) -> None:
+        self.page.set_input_files("#choose", {"name": name, "mimeType": "image/png", "buffer": content})
+        self.settled()
+
+    def settled(self) -> None:
+        """Wait until the page waits for nothing."""
+        self.page.wait_for_selector('#work[aria-busy="false"]', state="attached")
+
+    def text(self, selector: str) -> str:
+        return self.page.locator(selector).inner_text()
+
+    def stage(self) -> tuple[float, float, float, float]:
+        box = self.page.locator("#stage").bounding_box()
+        assert box
+        return box["x"], box["y"], box["width"], box["height"]
+
+    def places(self, *shares: tuple[float, float]) -> list[tuple[float, float]]:
+        """Return places in the window, at shares of the width and the height of the stage."""
+        left, top, width, height = self.stage()
+        return [(left + x * width, top + y * height) for x, y in shares]
+
+    def picture(self, selector: str = "#stage") -> np.ndarray:
+        """Return what is on the screen, with nothing pointed at."""
+        self.page.mouse.move(1, 1)
+        return np.array(Image.open(io.BytesIO(self.page.locator(selector).screenshot())).convert("RGB"))
+
+    def hover(self, place: tuple[float, float]) -> tuple[int, int]:
+        """Point at a place of the window; return the column and the row that the page says."""
+        self.page.mouse.move(*place)
+        found = re.match(r"column (\d+), row (\d+)", self.text("#place"))
+        assert found, self.text("#place")
+        return int(found[1]), int(found[2])
+
+    def split(self, share: float) -> None:
+        """Show the photo on the left up to this share of the stage, and depth on the right."""
+        self.page.fill("#splitter", str(round(1000 * share)))
+
+
+@pytest.fixture(scope="module")
+def service_url(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Serve a random model that knows its focal length, and puts far apart what it sees."""
+    domains = tuple(replace(domain, focal_px=70.0) for domain in tiny_config.domains)
+    with torch.random.fork_rng(), torch.no_grad():
+        torch.manual_seed(0)
+        model = ZoeDepth(replace(tiny_config, domains=domains)).eval()
+        for weight in model.parameters():
+            if weight.ndim > 1:
+                weight.mul_(2)
+    file = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    save_model(model, file)
+    settings = Settings(models=(str(file),), threads=1)
+    listener = bind("127.0.0.1", 0)
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning"))
+    thread = Thread(target=server.run, args=([listener],), daemon=True)
+    thread.start()
+    waits_until(lambda: server.started)
+    yield f"http://127.0.0.1:{listener.getsockname()[1]}/"
+    server.should_exit = True
+    thread.join(LONGEST)
+    listener.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator["Browser"]:
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+    with playwright.sync_playwright() as started:
+        browser = started.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def visit(browser: "Browser", service_url: str) -> Iterator[Visit]:
+    with_context = browser.new_context(viewport={"width": 1100, "height": 760})
+    yield from visited(with_context, service_url)
+
+
+@pytest.fixture
+def phone(browser: "Browser", service_url: str) -> Iterator[Visit]:
+    context = browser.new_context(
+        viewport={"width": 360, "height": 740}, device_scale_factor=2, is_mobile=True, has_touch=True
+    )
+    yield from visited(context, service_url)
+
+
+@pytest.fixture
+def service(visit: Visit, service_url: str) -> Service:
+    return Service(service_url, visit.page.request)
+
+
+def visited(context: "BrowserContext", url: str) -> Iterator[Visit]:
+    """Open the page, and see in the end that it asked this host alone and complained of nothing."""
+    context.set_default_timeout(1000 * LONGEST)
+    visit = Visit(context.new_page())
+
+    def asked(request: "Request") -> None:
+        if not request.url.startswith(("blob:", "data:")):
+            visit.hosts.add(request.url.split("/")[2])
+
+    visit.page.on("request", asked)
+    visit.page.on("console", lambda message: message.type == "error" and visit.complaints.append(message.text))
+    visit.page.on("pageerror", lambda error: visit.complaints.append(str(error)))
+    visit.page.goto(url)
+    visit.page.wait_for_selector("#model option", state="attached")
+    yield visit
+    context.close()
+    assert visit.hosts == {url.split("/")[2]}
+    assert visit.complaints == []
+
+
+def waits_until(holds: Callable[[], bool]) -> None:
+    """Wait until something holds, and fail where it never does."""
+    end = monotonic() + LONGEST
+    while not holds():
+        assert monotonic() < end, "it has not come true"
+        sleep(0.01)
+
+
+def in_metres(text: str) -> float:
+    """Return the first metres in a text."""
+    found = re.search(r"([\d.]+) m\b", text)
+    assert found, text
+    return float(found[1])
+
+
+def rounded_to(value: float) -> float:
+    """Return how far a number may be from the text that the page writes of it: half of its last digit."""
+    return 0.501 * (1e-3 if value < 1 else 1e-2 if value < 10 else 1e-1)
+
+
+def clear(valid: np.ndarray) -> tuple[int, int]:
+    """Return the column and row of a usable pixel, away from the borders."""
+    rows, columns = np.nonzero(valid[20:-20, 20:-20])
+    middle = len(rows) // 2
+    return int(columns[middle]) + 20, int(rows[middle]) + 20
+
+
+def window_place(visit: Visit, column: float, row: float) -> tuple[float, float]:
+    """Return the place in the window of the middle of a pixel, while all of the photo is shown."""
+    left, top, width, height = visit.stage()
+    scale = min(width / WIDTH, height / HEIGHT)
+    return (
+        left + (width - WIDTH * scale) / 2 + (column + 0.5) * scale,
+        top + (height - HEIGHT * scale) / 2 + (row + 0.5) * scale,
+    )
+
+
+@needs_browser
+class TestPage:
+    def test_reads_what_is_under_the_pointer_at_three_zooms(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        arrays = service.arrays()
+        depth, valid = arrays["depth"], arrays["valid"]
+        near, far = (float(round(value, 3)) for value in np.quantile(depth, (0.1, 0.9)))
+        visit.page.fill("#near", str(near))
+        visit.page.fill("#far", str(far))
+        colors = colorize(depth, vmin=near, vmax=far)
+        sizes = []
+        for zoom in (1.0, 2.5, 6.0):
+            if zoom > 1:
+                [(x, y)] = visit.places((0.45, 0.4))
+                visit.page.mouse.move(x, y)
+                before = visit.hover((x, y))
+                visit.page.mouse.wheel(0, -500 * np.log(zoom / sizes[-1][0]))
+                waits_until(lambda: visit.stage() is not None)
+                assert visit.hover((x, y)) == before, "what was under the pointer stays there"
+            visit.split(1)
+            photographed = visit.picture()
+            visit.split(0)
+            colored = visit.picture()
+            places = [(0.31, 0.22), (0.47, 0.83), (0.52, 0.4), (0.66, 0.61)]
+            pixels = []
+            for share, place in zip(places, visit.places(*places), strict=True):
+                column, row = visit.hover(place)
+                pixels.append((column, row))
+                # The pixel of the screen under the pointer: a screenshot has one for each CSS pixel here.
+                left, top, *_ = visit.stage()
+                y, x = int(place[1] - round(top)), int(place[0] - round(left))
+                assert tuple(photographed[y, x, :2] // (2, 3)) == (column, row), share
+                if valid[row, column]:
+                    assert in_metres(visit.text("#value")) == pytest.approx(
+                        depth[row, column], abs=rounded_to(depth[row, column])
+                    )
+                    assert np.abs(colored[y, x].astype(int) - colors[row, column]).max() <= 6
+                else:
+                    assert "no depth" in visit.text("#value")
+                    assert colored[y, x, 0] in (116, 172)
+            columns = [column for column, _ in pixels]
+            sizes.append((zoom, max(columns) - min(columns)))
+        spans = [span for _, span in sizes]
+        assert spans[0] > 1.8 * spans[1] > 3 * spans[2] > 0, "it was enlarged"
+
+    def test_pins_tell_distances_and_calibrate(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        arrays = service.arrays()
+        one, other = clear(arrays["valid"]), (70, 30)
+        if not arrays["valid"][30, 70]:
+            other = clear(arrays["valid"][:, :60])
+        for place in (one, other):
+            visit.page.mouse.click(*window_place(visit, *place))
+        measured = service.post("v1/measure", points=json.dumps([one, other]), pairs=json.dumps([[one, other]])).json()
+        rows = visit.page.locator("#pins li").all_inner_texts()
+        told = [measured["points"][0]["depth"], measured["pairs"][0]["distance"], measured["points"][1]["depth"]]
+        for row, value in zip(rows, told, strict=True):
+            assert in_metres(row) == pytest.approx(value, abs=rounded_to(value))
+        assert f"column {one[0]}, row {one[1]}" in rows[0]
+        assert "a guess" in rows[1], "the distance says who knows the camera"
+
+        true = 1.7 * told[0]
+        visit.page.fill('[data-field="measured-0"]', f"{true:.3f}")
+        visit.page.click("#calibrate")
+        visit.settled()
+        readings = json.dumps([[*one, round(true, 3)]])
+        calibration = service.post("v1/calibrate", readings=readings).json()
+        part = {"name": "c.json", "mimeType": "application/json", "buffer": json.dumps(calibration).encode()}
+        depth = service.arrays(calibration=part)["depth"]
+        assert calibration["calibration"]["scale"] > 1.1
+        assert in_metres(visit.text("#pins li")) == pytest.approx(
+            depth[one[1], one[0]], abs=rounded_to(depth[one[1], one[0]])
+        )
+        text = visit.text("#calibrated-text")
+        assert f"times {calibration['calibration']['scale']:.3f}" in text
+        assert f"within {round(100 * calibration['calibration']['expected_error'])} %" in text
+        with visit.page.expect_download() as download:
+            visit.page.click("#file-calibration")
+        saved = json.loads(download.value.path().read_text(encoding="utf-8"))
+        assert saved["calibration"]["scale"] == calibration["calibration"]["scale"]
+        assert download.value.suggested_filename == "pixels_calibration.json"
+        visit.page.click("#uncalibrate")
+        visit.settled()
+        assert in_metres(visit.text("#pins li")) == pytest.approx(told[0], abs=rounded_to(told[0]))
+
+    def test_a_camera_changes_the_metres_at_once(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        assert "a guess" in visit.text("#camera-text")
+        wide, narrow = service.arrays("&fov_x=80"), service.arrays("&fov_x=40")
+        column, row = clear(wide["valid"] & narrow["valid"])
+        visit.page.mouse.click(*window_place(visit, column, row))
+        visit.page.fill("#fov", "80")
+        visit.settled()
+        assert "as you say" in visit.text("#camera-text")
+        value = wide["depth"][row, column]
+        assert in_metres(visit.text("#pins li")) == pytest.approx(value, abs=rounded_to(value))
+        held: list[Any] = []
+        visit.page.route("**/v1/depth*", held.append)
+        visit.page.fill("#fov", "40")
+        value = narrow["depth"][row, column]
+        assert value > 2 * wide["depth"][row, column]
+        at_once = in_metres(visit.text("#pins li"))  # the service has not answered yet
+        assert at_once == pytest.approx(value, abs=rounded_to(value))
+        while not held:
+            visit.page.wait_for_timeout(10)
+        visit.page.unroute("**/v1/depth*")
+        held[0].continue_()
+        visit.settled()
+        assert in_metres(visit.text("#pins li")) == at_once
+        focal = WIDTH / 2 / np.tan(np.radians(20))
+        assert float(visit.page.input_value("#focal")) == pytest.approx(focal, abs=0.06)
+
+    def test_three_dimensions_show_points_and_a_surface(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        arrays = service.arrays()
+        fx, cx = arrays["intrinsics"][0, [0, 2]]
+        across = (np.arange(WIDTH) - cx) / fx * arrays["depth"]
+        across = across[arrays["valid"]]
+        for button, word in (("#show-space", "points"), ("#show-surface", "triangles")):
+            visit.page.click(button)
+            visit.page.wait_for_selector(f"#extent:has-text('{word}')")
+            visit.page.wait_for_timeout(100)  # a frame or two
+            picture = visit.picture("#scene")[60:-40]
+            lit = (np.abs(picture.astype(int) - (20, 25, 26)).max(axis=-1) > 20).mean()
+            assert lit > 0.15, f"{word}: {lit:.2f} of the picture is something"
+            assert picture.reshape(-1, 3).std(axis=0).min() > 10
+        found = re.search(r"([\d,]+) triangles; ([\d.]+) m wide", visit.text("#extent"))
+        assert found
+        assert int(found[1].replace(",", "")) > 1000
+        assert float(found[2]) == pytest.approx(np.ptp(across), rel=0.02)
+
+    def test_downloads_hold_the_same_depth(self, visit: Visit, service: Service, tmp_path: Path) -> None:
+        visit.upload()
+        arrays = service.arrays()
+        depth, valid = arrays["depth"], arrays["valid"]
+        matrix = arrays["intrinsics"]
+
+        def download(name: str) -> Path:
+            with visit.page.expect_download() as download:
+                visit.page.click(f"#file-{name}")
+            path = tmp_path / download.value.suggested_filename
+            download.value.save_as(path)
+            visit.settled()
+            return path
+
+        def check_points(points: np.ndarray) -> None:
+            """Points in the axes of the camera lie at the depth of the pixels that see them."""
+            x, y, z = points.T
+            columns, rows = (x / z * matrix[0, 0] + matrix[0, 2]), (y / z * matrix[1, 1] + matrix[1, 2])
+            at = np.rint(rows).astype(int), np.rint(columns).astype(int)
+            assert np.abs(columns - at[1]).max() < 0.01
+            assert valid[at].all()
+            np.testing.assert_allclose(z, depth[at], rtol=1e-5)
+
+        np.testing.assert_allclose(read_depth(download("png")), depth, atol=0.0005001)
+        np.testing.assert_array_equal(read_depth(download("exr")), depth)
+        np.testing.assert_array_equal(read_depth(download("npz")), depth)
+        vertices = PlyData.read(download("ply"))["vertex"]
+        assert len(vertices["x"]) == valid.sum()
+        check_points(np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64))
+        import trimesh
+
+        surface = trimesh.load(download("glb"), process=False).to_geometry()  # type: ignore[union-attr]
+        assert len(surface.faces) > 1000
+        check_points(np.asarray(surface.vertices, np.float64) * (1, -1, -1))
+        assert sorted(path.name for path in tmp_path.iterdir()) == [
+            "pixels.exr", "pixels.glb", "pixels.npz", "pixels.ply", "pixels_depth.png",
+        ]  # fmt: skip
+
+    def test_works_on_a_phone(self, phone: Visit, service: Service) -> None:
+        phone.upload()
+        arrays = service.arrays()
+        column, row = clear(arrays["valid"])
+        phone.page.touchscreen.tap(*window_place(phone, column, row))
+        value = arrays["depth"][row, column]
+        assert phone.text("#place").startswith(f"column {column}, row {row}")
+        assert in_metres(phone.text("#value")) == pytest.approx(value, abs=rounded_to(value))
+        assert in_metres(phone.text("#pins li")) == pytest.approx(value, abs=rounded_to(value))
+        assert phone.page.evaluate("document.documentElement.scrollWidth") == 360
+        hidden = phone.page.evaluate(
+            """[...document.querySelectorAll('button, select, input:not(.unseen):not(#splitter)')].filter((part) => {
+                 const box = part.getBoundingClientRect();
+                 return part.checkVisibility() && (box.left < 0 || box.right > 360);
+               }).map((part) => part.id)"""
+        )
+        assert hidden == []
+        assert phone.page.locator("label:has(#take)").count() == 1
+
+    def test_works_by_keyboard_and_for_a_screen_reader(self, visit: Visit, service: Service) -> None:
+        visit.page.focus('[data-example="examples/coffee.jpg"]')
+        visit.page.keyboard.press("Enter")
+        visit.page.wait_for_selector('#work[aria-busy="false"]')
+        visit.page.focus("#stage")
+        visit.page.keyboard.press("ArrowRight")
+        visit.page.keyboard.press("ArrowDown")
+        place = visit.text("#place")
+        visit.page.keyboard.press("Shift+ArrowRight")
+        assert visit.text("#place") != place
+        visit.page.keyboard.press("Enter")
+        assert visit.page.locator("#pins li").count() == 1
+        visit.page.keyboard.press("Delete")
+        assert visit.page.locator("#pins li").count() == 0
+        visit.page.keyboard.press("Enter")
+        visit.page.keyboard.press("+")
+        visit.page.keyboard.press("0")
+        nameless = visit.page.evaluate(
+            """[...document.querySelectorAll('button, select, input, canvas, [tabindex]')].filter((part) =>
+                 part.checkVisibility() && !part.closest('[aria-hidden=true]') && !part.getAttribute('aria-label')
+                 && !part.innerText?.trim() && ![...(part.labels ?? [])].some((label) => label.innerText.trim())
+               ).map((part) => part.outerHTML)"""
+        )
+        assert nameless == []
+
+    def test_says_what_is_wrong_with_a_file(self, visit: Visit, service: Service) -> None:
+        bad = {
+            "not an image": b"this is text, and no picture",
+            "cut off": PHOTO[: len(PHOTO) // 2],
+            "empty": b"",
+        }
+        for name, content in bad.items():
+            part = {"name": name, "mimeType": "image/png", "buffer": content}
+            said = service.call.post(service.url + "v1/depth", multipart={"photo": part})
+            assert said.status in (400, 415, 422), name
+            visit.upload(name, content)
+            visit.page.wait_for_selector("#problem:not([hidden])")
+            assert said.json()["title"] in visit.text("#problem"), name
+            assert said.json()["detail"] in visit.text("#problem"), name
+        visit.upload()
+        assert not visit.page.is_visible("#problem"), "the next photo is not bothered"
+        refused = [text for text in visit.complaints if "Failed to load resource" in text]  # browsers note each refusal
+        assert len(refused) == len(bad)
+        visit.complaints[:] = [text for text in visit.complaints if text not in refused]
+
+    def test_says_the_same_call_for_programs(self, visit: Visit, service: Service) -> None:
+        visit.upload("a photo's.png")
+        visit.page.fill("#fov", "50")
+        visit.settled()
+        visit.page.click("summary")
+        curl = visit.text("#code")
+        assert "fov_x=50" in curl
+        assert f"{service.url}v1/depth?" in curl
+        visit.page.click("#show-python")
+        names: dict[str, Any] = {}
+        program = visit.text("#code")
+        compile(program, "code", "exec")
+        exec(program[program.index("    params=") :].split("\n")[0].strip().rstrip(","), names)
+        assert names["params"] == {"model": "tiny", "fov_x": "50", "format": "npz"}
+        assert 'open("a photo\'s.png", "rb")' in program
+
+
+class TestFiles:
+    def test_holds_no_script_or_style_of_its_own_and_no_address_of_others(self) -> None:
+        for path in FOLDER.rglob("*"):
+            if path.suffix in (".html", ".js", ".css", ".svg"):
+                text = path.read_text(encoding="utf-8")
+                foreign = set(re.findall(r"https?://[\w.-]+", text)) - {"http://www.w3.org"}
+                assert not foreign, path.name
+        html = (FOLDER / "index.html").read_text(encoding="utf-8")
+        assert not re.search(r"<style|\sstyle=|\son\w+=", html)
+        assert all(re.fullmatch(r"\s*", inside) for inside in re.findall(r"<script[^>]*>(.*?)</script>", html, re.S))
+
+    def test_refers_to_files_that_there_are(self) -> None:
+        served = read_page()
+        for path in FOLDER.glob("*.*"):
+            if path.suffix not in (".html", ".js"):
+                continue
+            text = path.read_text(encoding="utf-8")
+            for name in re.findall(r'(?:href|src|data-example|from|\.src =)[= ]?"\.?/?([\w./-]+\.(?:js|css|svg|jpg))"', text):
+                assert f"/{name}" in served, f"{path.name} wants {name}"
+        assert b"three.js" in served["/three.min.js"].content[:100]
+
+    def test_colors_depth_as_the_package_does(self) -> None:
+        text = (FOLDER / "colormaps.js").read_text(encoding="utf-8")
+        levels = np.arange(1, 257, dtype=np.float32)[None]
+        for name in ("magma", "turbo", "Spectral"):
+            found = re.search(rf"{name}:\s*((?:\"[0-9a-f]+\"[\s+]*)+),", text)
+            assert found
+            table = np.frombuffer(bytes.fromhex("".join(re.findall(r"[0-9a-f]{6,}", found[1]))), np.uint8).reshape(-1, 3)
+            np.testing.assert_array_equal(table, colorize(levels, vmin=1, vmax=256, colormap=name)[0])
