@@ -20,7 +20,7 @@ from zoedepth.export.wrapper import ExportModel
 from zoedepth.model.encoder import EncoderFeatures
 from zoedepth.model.zoedepth import ZoeDepth
 
-DOMAINS = (Domain("indoor", 1e-3, 10.0), Domain("outdoor", 1e-3, 80.0))
+DOMAINS = (Domain("indoor", 1e-3, 10.0, focal_px=40.0), Domain("outdoor", 1e-3, 80.0, focal_px=90.0))
 PAIR = torch.stack([torch.zeros(3, 64, 64), torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))])
 """Two images that ``balanced`` models send to different heads."""
 

@@ -28,7 +28,9 @@ from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
 from zoedepth.export.wrapper import ExportModel
 from zoedepth.export.write import OPSET, ExportError, Format, metadata
+from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
 from zoedepth.weights.exported import ExportedModel, OpenVinoModel
 from zoedepth.weights.openvino_graph import LARGE
 
@@ -97,6 +99,20 @@ def test_images_of_a_batch_take_heads_of_their_own(exports: Exports, to: Format)
     assert set(expected.domain.tolist()) == {0, 1}
     assert found.domain.tolist() == expected.domain.tolist()
     assert torch.allclose(found.depth, expected.depth, rtol=1e-4, atol=1e-5)
+
+
+@FORMATS
+def test_depth_of_a_photo_with_a_camera_is_that_of_torch(exports: Exports, to: Format):
+    """What the lens does to the metres is not in the file, but in its configuration."""
+    model, _, _, exported = exports("two domains", to)
+    photo = np.random.default_rng(0).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+    expected, found = (Predictor(each, camera=Lens(fov_x=70))(photo, domain="outdoor") for each in (model, exported))
+    assert found.camera == expected.camera
+    assert found.focal_correction == expected.focal_correction != 1
+    assert found.std is not None
+    assert expected.std is not None
+    np.testing.assert_allclose(found.depth, expected.depth, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found.std, expected.std, rtol=1e-3, atol=1e-4)
 
 
 def test_names_and_metadata_are_what_other_programs_look_for(exports: Exports):

@@ -88,7 +88,6 @@ class OnnxModel(ExportedModel):
             import onnxruntime
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
-        self.path = path
         self.path, self.threads = path, threads
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
