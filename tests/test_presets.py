@@ -66,13 +66,13 @@ def test_parameters_are_within_one_percent_of_the_papers_table(name: str, publis
 def test_every_model_the_paper_names_is_there():
     pairs = ["x-n", "n-n", "nk-n", "m12-n", "x-k", "k-k", "nk-k", "m12-k", "nk-nk", "m12-nk", "x-nk"]
     assert {f"zoed-{pair}" for pair in pairs} <= set(PRESETS)
-    assert {"zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-lite"} <= set(PRESETS)
+    assert {"zoed-x-nk-one-head", "zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-lite"} <= set(PRESETS)
 
 
 def test_models_of_the_paper_follow_the_paper():
     for name in ("zoed-x-n", "zoed-x-k", "zoed-nk-nk", "zoed-m12-nk-one-head", "zoed-m12-n-swin2-t"):
         head = PRESETS[name].head
-        assert (head.n_bins, head.n_attractors, head.kind, head.reduce) == (64, (16, 8, 4, 1), "inverse", "sum")
+        assert (head.n_bins, head.n_attractors, head.kind, head.reduce) == (64, (16, 8, 4, 1), "inverse", "mean")
         assert (head.alpha, head.gamma, head.centers, head.probability) == (300, 2, "softplus", "log-binomial")
         assert head.relative_input
 

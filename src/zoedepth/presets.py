@@ -103,20 +103,19 @@ ENCODERS: dict[str, EncoderConfig] = {
 
 _BEIT_L = ENCODERS["beit_large_patch16_384"]
 
-# A model that we train follows the paper; a model with released weights follows the weights. The values in which the
-# two differ are here and in docs/paper.md, and nowhere else.
+# A model that we train has one architecture, whatever it is trained on: that of the paper, with the mean of the pulls,
+# as released. A model with released weights follows the weights. The values in which the two differ are here and in
+# docs/paper.md, and nowhere else.
 _PAPER_N = in_training_cameras(ModelConfig(_BEIT_L))
 _PAPER_K = in_training_cameras(ModelConfig(_BEIT_L, domains=(OUTDOOR,), size=(384, 768)))
 _PAPER_NK = in_training_cameras(ModelConfig(_BEIT_L, domains=(INDOOR, OUTDOOR)))
 _PAPER_NK_ONE_HEAD = ModelConfig(_BEIT_L, domains=(replace(OUTDOOR, name="any"),))
 
-_RELEASED_N = replace(_PAPER_N, head=AttractorConfig(reduce="mean"))
-_RELEASED_K = replace(_PAPER_K, head=AttractorConfig(reduce="mean", centers="normed", attractor_ratio=False))
+_RELEASED_K = replace(_PAPER_K, head=AttractorConfig(centers="normed", attractor_ratio=False))
 _RELEASED_NK = replace(
     _PAPER_NK,
     head=AttractorConfig(
         n_attractors=(16, 16, 16, 16),
-        reduce="mean",
         relative_input=False,
         bottleneck_factor=4,
         projector_width=64,
@@ -176,11 +175,11 @@ ZOED_LITE = in_training_cameras(
 
 PRESETS: dict[str, ModelConfig] = {
     # The twelve models of the paper's model table (appendix): ZoeD-{relative pre-training}-{metric fine-tuning}. The
-    # three released ones carry the released values.
+    # three released ones carry the released values; those of zoed-m12-n are the paper's.
     "zoed-x-n": _PAPER_N,
     "zoed-n-n": _PAPER_N,
     "zoed-nk-n": _PAPER_N,
-    "zoed-m12-n": _RELEASED_N,
+    "zoed-m12-n": _PAPER_N,
     "zoed-x-k": _PAPER_K,
     "zoed-k-k": _PAPER_K,
     "zoed-nk-k": _PAPER_K,
@@ -189,7 +188,8 @@ PRESETS: dict[str, ModelConfig] = {
     "zoed-m12-nk-one-head": _PAPER_NK_ONE_HEAD,
     "zoed-nk-nk": _PAPER_NK,
     "zoed-m12-nk": _RELEASED_NK,
-    # Its discussion of pre-training names one more.
+    # Its Table 2 has one more, with one head; the same with two heads is not in the paper.
+    "zoed-x-nk-one-head": _PAPER_NK_ONE_HEAD,
     "zoed-x-nk": _PAPER_NK,
     # Its backbone ablation.
     "zoed-m12-n-swin-l": with_encoder(_PAPER_N, "swin_large_patch4_window12_384"),
@@ -204,6 +204,10 @@ PRESETS: dict[str, ModelConfig] = {
     "dpt-beit-large-384": ModelConfig(_BEIT_L, domains=(), size=(384, 384)),
 }
 """Name → architecture. ``weights/releases.py`` knows which of them have weights, and where."""
+
+TRAINED: dict[str, ModelConfig] = {**PRESETS, "zoed-m12-k": _PAPER_K, "zoed-m12-nk": _PAPER_NK}
+"""Name → architecture that the recipes train: one for all models of the same domains. Only the released checkpoints
+differ from it."""
 
 
 # --- the systems the paper compares with ------------------------------------------------------------------------------

@@ -15,11 +15,12 @@ from tests.evaluation.samples import EVERYWHERE, FactorSource, photo, sample_of
 from tests.folders import write_disparity_pairs, write_pairs
 from torchvision.transforms import functional as transforms
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import ModelConfig, RouterConfig
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
+from zoedepth.evaluation.dataset_scores import score_dataset
 from zoedepth.evaluation.identity import weights_fingerprint
 from zoedepth.evaluation.predictions import (
     TRIVIAL,
@@ -126,6 +127,28 @@ def test_photo_has_the_size_of_the_protocol_first(
     expected = Predictor(tiny_model, pad=False, upsampling="bilinear")(resized)
     np.testing.assert_array_equal(found.depth, expected.depth)
     assert found.depth.shape == size
+
+
+def test_photo_is_resized_first_with_or_without_a_filter_as_the_protocol_says(tiny_model: ZoeDepth) -> None:
+    sample = photo((128, 192))
+    for antialias in (True, False):
+        protocol = replace(EVERYWHERE, photo_size=(64, 96), photo_antialias=antialias)
+        resized = transforms.resize(sample.image, [64, 96], antialias=antialias)
+        expected = Predictor(tiny_model, pad=False, upsampling="bilinear")(resized.clamp(0, 1))
+        np.testing.assert_array_equal(ModelSource(tiny_model).predict(sample, protocol).depth, expected.depth)
+
+
+def test_labeled_router_is_told_the_domain_of_the_data(tiny_config: ModelConfig) -> None:
+    model = ZoeDepth(replace(tiny_config, router=RouterConfig("labeled"))).eval()
+    for domain in ("indoor", "outdoor"):
+        found = ModelSource(model).predict(photo((50, 90), domain=domain), EVERYWHERE)
+        expected = Predictor(model, pad=False, upsampling="bilinear")(photo((50, 90)).image, domain=domain)
+        np.testing.assert_array_equal(found.depth, expected.depth)
+        assert found.domain is None  # it had no choice
+    scored = score_dataset(ModelSource(model), [photo((50, 90), domain="outdoor")], {"outdoor": EVERYWHERE})
+    assert (len(scored.scores), scored.failures) == (1, [])
+    with pytest.raises(InputError, match=r"attic.*heads for \['indoor', 'outdoor'\]"):
+        ModelSource(model).predict(photo((50, 90), domain="attic"), EVERYWHERE)
 
 
 def test_shorter_side_of_an_upright_photo_is_its_width(tiny_model: ZoeDepth) -> None:

@@ -136,13 +136,16 @@ def test_paper_protocol_has_the_values_of_the_paper(name: str) -> None:
         ("nyu", {}),
         ("sunrgbd", {"min_depth": 0.0, "crop": "eigen"}),
         ("ibims", {"min_depth": 0.0}),
-        ("diode-indoor", {"crop": "eigen", "use_mask": False, "photo_short_side": 480}),
-        ("hypersim", {"crop": "eigen", "photo_size": (480, 640)}),
+        (
+            "diode-indoor",
+            {"crop": "eigen", "use_mask": False, "photo_short_side": 480, "photo_antialias": False},
+        ),
+        ("hypersim", {"crop": "eigen", "photo_size": (480, 640), "photo_antialias": False}),
         ("kitti", {}),
         ("vkitti2", {}),
-        ("ddad", {"photo_size": (352, 1216)}),
+        ("ddad", {"photo_size": (352, 1216), "photo_antialias": False}),
         ("diml-outdoor", {"min_depth": 2.0}),
-        ("diode-outdoor", {"use_mask": False, "photo_short_side": 480}),
+        ("diode-outdoor", {"use_mask": False, "photo_short_side": 480, "photo_antialias": False}),
     ],
 )
 def test_released_code_differs_from_the_paper_where_it_is_documented(name: str, differences: dict[str, object]) -> None:
@@ -198,6 +201,7 @@ CHANGES = {
     "kitti_crop": True,
     "photo_size": (480, 640),
     "photo_short_side": 480,
+    "photo_antialias": False,
     "resize": "squeeze",
     "pad": True,
     "flip_average": False,

@@ -14,6 +14,7 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
+from zoedepth.pixels import resize_pixels
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import augmentations, load_sources
 
@@ -109,9 +110,9 @@ def test_kitti_crop_leaves_the_top_and_the_sides_out(make_config: MakeConfig) ->
     cropped = augment(
         sample, augmentations(dataclasses.replace(PLAIN, kitti_crop=True), make_config()), np.random.default_rng(0)
     )
-    # 13 of 1242 columns at the left: 13 / 1241 * 99 m more than 1 m, and half a column of the small picture.
-    assert whole.target.min() == pytest.approx(1 + 99 / 64 / 2, abs=0.2)
-    assert cropped.target.min() == pytest.approx(1 + 13 / 1241 * 99 + 97 / 64 / 2, abs=0.2)
+    # The first column stays the first. 13 of 1242 columns at the left: 13 / 1241 * 99 m more than 1 m.
+    assert whole.target.min() == pytest.approx(1)
+    assert cropped.target.min() == pytest.approx(1 + 13 / 1241 * 99)
 
 
 def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -> None:
@@ -140,7 +141,7 @@ def test_every_number_of_a_source_changes_its_samples(make_config: MakeConfig) -
     # Fails where a new field has no case. The others are the mixture's, the reader's or the loss's; sparse has its own.
     elsewhere = {
         "name", "weight", "gradient_term", "domain", "depth_scale", "max_depth", "root", "sparse", "focal_px",
-        "without_camera",
+        "without_camera", "min_depth",
     }  # fmt: skip
     assert {field.name for field in dataclasses.fields(SourceConfig)} - elsewhere == tested
 
@@ -233,3 +234,88 @@ def test_data_without_cameras_is_refused_unless_a_lens_is_given_or_assumed(
     assert torch.equal(given.image, assumed.image)
     both = given.mask & assumed.mask
     torch.testing.assert_close(given.target[both], 2 * assumed.target[both])
+
+
+# ---------------------------------------------------------------------------------------------------- resizing
+
+
+@pytest.mark.parametrize("crop", ["fit", "squeeze"])
+@pytest.mark.parametrize("antialias", [True, False])
+def test_training_resizes_photos_as_the_model_does_when_it_predicts(
+    make_config: MakeConfig, crop: str, antialias: bool
+) -> None:
+    config = make_config()
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, antialias=antialias))
+    size = (4 * config.model.size[0], 4 * config.model.size[1])
+    image = (torch.arange(size[1]) % 3 == 0).float().expand(3, *size).clone()  # fine stripes
+    sample = dataclasses.replace(outdoor_sample(size), image=image)
+    steps = augmentations(dataclasses.replace(PLAIN, crop=crop), config)
+    found = next(  # one that was not mirrored
+        result
+        for seed in range(9)
+        if (result := augment(sample, steps, np.random.default_rng(seed))).target[0, 0, 0]
+        < result.target[0, 0, -1].clamp(min=1)
+    )
+    expected = resize_pixels(image[None], config.model.size, antialias=antialias)[0]
+    # To turn it by nothing costs a rounding.
+    torch.testing.assert_close(found.image, expected, rtol=0, atol=1e-4)
+    assert (found.image.std() < 0.1) == antialias
+
+
+@pytest.mark.parametrize("antialias", [True, False])
+@pytest.mark.parametrize("sparse", [True, False])
+def test_depth_stays_where_the_photo_shows_it(make_config: MakeConfig, antialias: bool, sparse: bool) -> None:
+    """The photo is as red as its depth is far, and smooth: after resizing, both still say the same everywhere."""
+    config = make_config()
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, antialias=antialias))
+    size = (150, 240)
+    slope = 0.5 * torch.linspace(0.1, 0.9, size[1]) + 0.5 * torch.linspace(0.1, 0.9, size[0])[:, None]
+    sample = Sample(slope.expand(3, *size).clone(), 10 * slope[None], slope[None] > 0, "depth", "outdoor", "")
+    source = dataclasses.replace(PLAIN, sparse=sparse)
+    found = augment(sample, augmentations(source, config), np.random.default_rng(0))
+    assert found.mask.all()
+    error = 10 * found.image[:1] - found.target
+    assert error.abs().max() < 10 * 1.6 * 0.4 * (1 / 150 + 1 / 240)  # a pixel and a half of the photo, both ways
+    if not sparse:  # where several points fall together, the nearest wins
+        assert abs(error.mean()) < 1e-3
+
+
+def test_truth_keeps_its_size_where_the_loss_is_taken_there(make_config: MakeConfig) -> None:
+    sample = outdoor_sample((375, 1242))
+    lidar = dataclasses.replace(sample, mask=torch.rand(1, 375, 1242, generator=torch.Generator().manual_seed(0)) < 0.1)
+    source = dataclasses.replace(PLAIN, kitti_crop=True, sparse=True)
+    kept = augment(lidar, augmentations(source, make_config(loss_size="truth")), np.random.default_rng(0))
+    gathered = augment(lidar, augmentations(source, make_config()), np.random.default_rng(0))
+    assert (kept.image.shape, kept.target.shape, kept.mask.shape) == ((3, 64, 64), (1, 352, 1216), (1, 352, 1216))
+    known = lidar.mask[:, 23:, 13:1229] & (sample.target[:, 23:, 13:1229] < 80)
+    assert kept.mask.sum() == known.sum() > 5 * gathered.mask.sum()  # none is lost, and the small picture has no room
+    assert gathered.target.shape == (1, 64, 64)
+    with pytest.raises(InputError, match="set loss_size to 'network'"):
+        make_config(loss_size="truth", sources=(dataclasses.replace(PLAIN, crop="fit"),))
+
+
+def test_a_degree_is_a_degree_of_the_photo_before_it_is_squeezed(make_config: MakeConfig) -> None:
+    """A vertical line of KITTI, turned by 1 degree, leans by its height times tan(1 degree) of the photo's pixels."""
+    image = torch.zeros(3, 352, 1216)
+    image[:, :, 604:612] = 1
+    sample = dataclasses.replace(outdoor_sample((352, 1216)), image=image)
+    leaning = []
+    config = make_config()
+    config = dataclasses.replace(config, model=dataclasses.replace(config.model, antialias=True))
+    for seed in range(6):
+        source = dataclasses.replace(PLAIN, rotate_degrees=1.0)
+        found = augment(sample, augmentations(source, config), np.random.default_rng(seed))
+        places = torch.arange(64.0)
+        top, bottom = ((found.image[0, row] * places).sum() / found.image[0, row].sum() for row in (4, -5))
+        rng = np.random.default_rng(seed)
+        rng.random()  # whether it is mirrored
+        angle = np.radians(rng.uniform(-1, 1))
+        leaning.append((abs(float(bottom - top)) * 1216 / 64, abs(np.tan(angle)) * 352 * 55 / 64))
+    for measured, expected in leaning:
+        assert measured == pytest.approx(expected, abs=0.5)
+
+
+def test_source_can_leave_out_what_is_too_near(make_config: MakeConfig) -> None:
+    source = dataclasses.replace(PLAIN, min_depth=5.0)
+    result = augment(outdoor_sample(), augmentations(source, make_config()), np.random.default_rng(0))
+    assert 5 < result.target[result.mask].min() < 7

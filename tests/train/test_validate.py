@@ -8,7 +8,7 @@ import pytest
 from tests.folders import write_disparity_pairs, write_pairs
 from torch.utils.data import Subset
 
-from zoedepth.config import ModelConfig
+from zoedepth.config import ModelConfig, RouterConfig
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.evaluation.predictions import ModelSource, Prediction
@@ -102,3 +102,10 @@ def test_stage_1_has_the_error_of_disparity_after_scale_and_shift(
 def test_stage_1_without_any_known_depth_has_no_metric(tiny_model: ZoeDepth, tmp_path: Path) -> None:
     data = PairDataset(write_pairs(tmp_path / "empty", n=1, without_truth=(0,)))
     assert validate(tiny_model, {"empty": data}, stage="relative") == {}
+
+
+def test_labeled_router_is_told_the_domain(tiny_config: ModelConfig, tmp_path: Path) -> None:
+    labeled = replace(tiny_config, router=RouterConfig("labeled"))
+    rooms = PairDataset(write_pairs(tmp_path / "rooms", n=1))
+    found = validate(ZoeDepth(labeled).eval(), {"rooms": rooms}, stage="metric")
+    assert found.keys() == {f"validation/rooms/{metric}" for metric in ("rel", "rmse", "delta1")}

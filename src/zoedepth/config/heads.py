@@ -20,8 +20,10 @@ class AttractorConfig:
     """Number of attractor points at strides 16, 8, 4, 2."""
     kind: Literal["inverse", "exponential"] = "inverse"
     """The attractor's equation: Eq. 2 or Eq. 3."""
-    reduce: Literal["sum", "mean"] = "sum"
-    """sum: the pulls of the attractors are added up (paper). mean: they are averaged (released)."""
+    reduce: Literal["sum", "mean"] = "mean"
+    """mean: the pulls of the attractors are averaged, as released, so that no center goes past all of them. sum: they
+    are added up, as Eqs. 2 and 3 are printed: with several attractors near, centers jump over them and lose their
+    order."""
     alpha: float = 300.0
     """Strength of the attractors: a center is out of reach beyond about alpha ** (-1 / gamma)."""
     gamma: float = 2.0

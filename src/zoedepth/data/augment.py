@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
-from zoedepth.pixels import reflect_pad
+from zoedepth.pixels import reflect_pad, resize_pixels
 
 Augmentation = Callable[[Sample, np.random.Generator], Sample]
 
@@ -37,6 +37,7 @@ def fit_crop(
     probability: float = 1.0,
     scale_depth: bool = True,
     sparse: bool = False,
+    antialias: bool = True,
 ) -> Augmentation:
     """Cut a window of the shape of ``size`` out of the photo, and resize it to that size.
 
@@ -52,6 +53,7 @@ def fit_crop(
         probability: share of the samples that are zoomed; the others have z = 1.
         scale_depth: divide depth by z. False makes the zoom a change of focal length instead.
         sparse: depth is known at scattered points, which are all kept: see ``gather_points``.
+        antialias: how the photo is resized, see ``zoedepth.pixels.resize_pixels``; depth goes with it.
 
     Raises:
         InputError: the zooms are out of range.
@@ -70,15 +72,16 @@ def fit_crop(
             height, width = sample.image.shape[-2:]
         window = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
         top, left = int(rng.integers(0, height - window[0] + 1)), int(rng.integers(0, width - window[1] + 1))
-        return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0, sparse)
+        return _resized_window(sample, top, left, window, size, zoom if scale_depth else 1.0, sparse, antialias)
 
     return apply
 
 
-def window(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
+def window(size: tuple[int, int], *, sparse: bool = False, antialias: bool = True) -> Augmentation:
     """Cut a window of ``size`` pixels out of the photo at a random place, without resizing (BTS, AdaBins, PixelBins).
 
-    A photo that is smaller gives its largest window of that shape, resized. ``sparse``: see ``fit_crop``.
+    A photo that is smaller gives its largest window of that shape, resized. ``sparse``, ``antialias``: see
+    ``fit_crop``.
     """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
@@ -86,17 +89,26 @@ def window(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
         scale = max(1.0, size[0] / height, size[1] / width)
         cut = (min(height, round(size[0] / scale)), min(width, round(size[1] / scale)))
         top, left = int(rng.integers(0, height - cut[0] + 1)), int(rng.integers(0, width - cut[1] + 1))
-        return _resized_window(sample, top, left, cut, size, 1.0, sparse)
+        return _resized_window(sample, top, left, cut, size, 1.0, sparse, antialias)
 
     return apply
 
 
-def squeeze(size: tuple[int, int], *, sparse: bool = False) -> Augmentation:
-    """Resize the whole photo to ``size``, whatever its shape (the released training); ``sparse``: see ``fit_crop``."""
+def squeeze(
+    size: tuple[int, int], *, sparse: bool = False, antialias: bool = True, keep_target: bool = False
+) -> Augmentation:
+    """Resize the whole photo to ``size``, whatever its shape (the released training).
+
+    Args:
+        size: (height, width) of the result.
+        sparse, antialias: see ``fit_crop``.
+        keep_target: leave depth and mask as large as they are: the loss is taken there (as released).
+    """
 
     def apply(sample: Sample, rng: np.random.Generator) -> Sample:
         height, width = sample.image.shape[-2:]
-        return _resized_window(sample, 0, 0, (height, width), size, 1.0, sparse)
+        resized = _resized_window(sample, 0, 0, (height, width), size, 1.0, sparse, antialias)
+        return replace(resized, target=sample.target, mask=sample.mask) if keep_target else resized
 
     return apply
 
@@ -273,13 +285,28 @@ def _framed(sample: Sample, vertical: int, horizontal: int) -> Sample:
 
 
 def _resized_window(
-    sample: Sample, top: int, left: int, window: tuple[int, int], size: tuple[int, int], zoom: float, sparse: bool
+    sample: Sample,
+    top: int,
+    left: int,
+    window: tuple[int, int],
+    size: tuple[int, int],
+    zoom: float,
+    sparse: bool,
+    antialias: bool,
 ) -> Sample:
     cropped = _map(sample, lambda x: x[:, top : top + window[0], left : left + window[1]])
     camera = sample.camera and sample.camera.cropped(top, left).scaled(size[0] / window[0], size[1] / window[1])
-    image = F.interpolate(cropped.image[None], size, mode="bilinear", antialias=True, align_corners=False)[0]
+    image = resize_pixels(cropped.image[None], size, antialias=antialias)[0]
+    # Without the filter corners lie on corners, and depth lies where the photo does.
+    aligned = not antialias
     if sparse:
-        target, mask = gather_points(cropped.target, cropped.mask, size, nearest_is_smallest=sample.kind == "depth")
+        nearest_is_smallest = sample.kind == "depth"
+        target, mask = gather_points(
+            cropped.target, cropped.mask, size, nearest_is_smallest=nearest_is_smallest, aligned=aligned
+        )
+    elif aligned:
+        rows, columns = (_nearest_of_aligned(n, side) for n, side in zip(size, window, strict=True))
+        target, mask = (x[:, rows][:, :, columns] for x in (cropped.target, cropped.mask))
     else:
         # Nearest pixel: the mean of a near and a far depth is the depth of neither.
         target = F.interpolate(cropped.target[None], size, mode="nearest-exact")[0]
@@ -291,12 +318,18 @@ def _resized_window(
     return replace(sample, image=image.clamp(0, 1), target=target, mask=mask, camera=camera)
 
 
+def _nearest_of_aligned(n: int, side: int) -> Int[Tensor, " n"]:
+    """Return the pixel of a side that is nearest to each of ``n``, where first lies on first and last on last."""
+    return (torch.linspace(0, side - 1, n) + 0.5).long().clamp(max=side - 1)
+
+
 def gather_points(
     target: Float[Tensor, "1 height width"],
     mask: Bool[Tensor, "1 height width"],
     size: tuple[int, int],
     *,
     nearest_is_smallest: bool,
+    aligned: bool = False,
 ) -> tuple[Float[Tensor, "1 _ _"], Bool[Tensor, "1 _ _"]]:
     """Bring scattered depth to another size: each known point goes to its pixel, where the nearest of several wins.
 
@@ -305,10 +338,18 @@ def gather_points(
         mask: True where it is known.
         size: (height, width) of the result.
         nearest_is_smallest: True for depth, False for disparity.
+        aligned: first pixel lies on first and last on last; without it, edges lie on edges.
     """
     rows, columns = mask[0].nonzero(as_tuple=True)
     values = target[0, rows, columns]
-    pixel = (rows * size[0] // mask.shape[1]) * size[1] + columns * size[1] // mask.shape[2]
+    if aligned:
+        places = [
+            (x * (n - 1) / max(side - 1, 1) + 0.5).long()
+            for x, n, side in zip((rows, columns), size, mask.shape[1:], strict=True)
+        ]
+    else:
+        places = [x * n // side for x, n, side in zip((rows, columns), size, mask.shape[1:], strict=True)]
+    pixel = places[0] * size[1] + places[1]
     found = torch.full((size[0] * size[1],), torch.inf if nearest_is_smallest else -torch.inf)
     found = found.scatter_reduce(0, pixel, values, "amin" if nearest_is_smallest else "amax").view(1, *size)
     known = found.isfinite()

@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 
+from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.names import Finder
 from zoedepth.data.sample import DepthDataset, Sample
@@ -136,8 +137,11 @@ class ModelSource:
     def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
         """Predict depth at the photo's size; relative depth where the model has no metric heads.
 
+        A labeled router (R.1) is told the domain that the data says, as it is in use; others are not.
+
         Raises:
-            InputError: the data set's camera is to be used, and it says none for this photo.
+            InputError: the data set's camera is to be used, and it says none for this photo; or a labeled model has no
+                head for the photo's domain.
         """
         predictor = Predictor(
             self.model,
@@ -150,8 +154,24 @@ class ModelSource:
         photo = to_image(_resize_photo(sample.image, protocol))
         if not self.model.config.domains:
             return Prediction(predictor.relative(photo), relative=True)
-        found = predictor(photo, camera=self._camera(sample, (photo.shape[0], photo.shape[1])))
-        return Prediction(found.depth, found.std, found.domain if len(self.model.config.domains) > 1 else None)
+        labeled = self._is_labeled()
+        if labeled and sample.domain not in (names := [domain.name for domain in self.model.config.domains]):
+            raise InputError(
+                f"{sample.name} is of the domain {sample.domain!r}, and this model, which must be told the domain, has "
+                f"heads for {names}: name one of these in the data"
+            )
+        found = predictor(
+            photo,
+            domain=sample.domain if labeled else None,
+            camera=self._camera(sample, (photo.shape[0], photo.shape[1])),
+        )
+        chosen = len(self.model.config.domains) > 1 and not labeled
+        return Prediction(found.depth, found.std, found.domain if chosen else None)
+
+    def _is_labeled(self) -> bool:
+        """Return True if the model must be told the domain of each photo."""
+        config = self.model.config
+        return isinstance(config, ModelConfig) and len(config.domains) > 1 and config.router.kind == "labeled"
 
     def _camera(self, sample: Sample, size: tuple[int, int]) -> Camera | Literal["none"]:
         """Return the camera of a sample's photo after the protocol has resized it to ``size``."""
@@ -485,4 +505,5 @@ def _resize_photo(image: Float[torch.Tensor, "3 _ _"], protocol: Protocol) -> Fl
         size = (round(height * scale), round(width * scale))
     if size is None or tuple(image.shape[1:]) == size:
         return image
-    return F.interpolate(image[None], size, mode="bilinear", align_corners=False, antialias=True)[0].clamp(0, 1)
+    antialias = protocol.photo_antialias
+    return F.interpolate(image[None], size, mode="bilinear", align_corners=False, antialias=antialias)[0].clamp(0, 1)

@@ -32,6 +32,8 @@ class Protocol:
     """(height, width) to which the photo is resized first, whatever its proportions; None leaves it as it is."""
     photo_short_side: int | None = None
     """Pixels to which the photo's shorter side is resized first, in proportion; None leaves it as it is."""
+    photo_antialias: bool = True
+    """True where that first resizing filters against aliasing; False as torchvision did it for the released code."""
     resize: Literal["keep-aspect", "squeeze"] = "keep-aspect"
     """How the model then resizes the photo: in proportion, or to exactly the trained size."""
     pad: bool = False
@@ -64,6 +66,8 @@ class Protocol:
         """Eight characters that depend on every field except the name."""
         values = {**asdict(self), "min_depth": float(self.min_depth), "max_depth": float(self.max_depth)}
         del values["name"]
+        if self.photo_antialias:
+            del values["photo_antialias"]  # so that protocols keep the hashes from before there was a choice
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
@@ -95,14 +99,14 @@ _RELEASED = {
     "nyu": {},
     "sunrgbd": {"min_depth": 0.0, "crop": "eigen", "decoding": "16-bit PNG, millimetres; beyond 8 m unknown"},
     "ibims": {"min_depth": 0.0},
-    "diode-indoor": {"crop": "eigen", "use_mask": False, "photo_short_side": 480},
-    "hypersim": {"crop": "eigen", "photo_size": (480, 640),
+    "diode-indoor": {"crop": "eigen", "use_mask": False, "photo_short_side": 480, "photo_antialias": False},
+    "hypersim": {"crop": "eigen", "photo_size": (480, 640), "photo_antialias": False,
                  "decoding": "float, distance along the ray of a camera of f = 886.81 px, metres; NaN unknown"},
     "kitti": {},
     "vkitti2": {"decoding": "16-bit PNG, centimetres; beyond 80 m unknown"},
-    "ddad": {"photo_size": (352, 1216)},
+    "ddad": {"photo_size": (352, 1216), "photo_antialias": False},
     "diml-outdoor": {"min_depth": 2.0},
-    "diode-outdoor": {"use_mask": False, "photo_short_side": 480},
+    "diode-outdoor": {"use_mask": False, "photo_short_side": 480, "photo_antialias": False},
 }  # fmt: skip
 
 _PAPER = (_NYU, _SUN, _IBIMS, _DIODE_IN, _HYPERSIM, _KITTI, _VKITTI, _DDAD, _DIML, _DIODE_OUT)

@@ -32,7 +32,7 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
     **_named(metric.kitti, "zoed-x-k", "zoed-k-k", "zoed-nk-k", "zoed-m12-k"),
     **_named(
         metric.nyu_and_kitti,
-        "zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-nk-nk", "zoed-m12-nk", "zoed-x-nk",
+        "zoed-nk-nk-one-head", "zoed-m12-nk-one-head", "zoed-nk-nk", "zoed-m12-nk", "zoed-x-nk-one-head", "zoed-x-nk",
     ),
     **_named(
         metric.nyu,

@@ -31,6 +31,7 @@ _OPTIM = {
         final_division=10,
         decay_encoder_only=True,
         eps=1e-3,
+        momentum=(0.9, 0.9),
         clip=float("inf"),
         frozen=("encoder.*conv0*", "encoder.*norm*"),
     ),
@@ -70,6 +71,8 @@ def baseline(name: str, data: Literal["n", "k", "nk"]) -> TrainConfig:
         nyu = replace(nyu, window=(480, 640), rotate_degrees=1.0)
     elif name == "newcrfs":
         nyu, kitti = replace(nyu, window=(480, 640)), replace(kitti, window=(352, 1120))
+    if name in ("bts", "newcrfs"):
+        nyu, kitti = replace(nyu, min_depth=0.1), replace(kitti, min_depth=1.0)
     elif name == "dorn":
         nyu, kitti = (replace(source, crop="squeeze", window=None, rotate_degrees=0.0) for source in (nyu, kitti))
     sources = {"n": (nyu,), "k": (kitti,), "nk": (nyu, kitti)}[data]

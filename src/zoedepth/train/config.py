@@ -27,6 +27,9 @@ class SourceConfig:
     """Stored value of one metre, for whole numbers of which the data does not name one."""
     max_depth: float | None = None
     """Metres from which on depth is unknown, for data that does not name them."""
+    min_depth: float | None = None
+    """Metres up to which depth is not trained on, where that is farther than the domain's nearest depth (BTS,
+    NeWCRFs). It is unknown then, as it is at the domain's bounds."""
     root: str | None = None
     """The folder that the paths of a list are relative to; None: that of the list."""
     focal_px: float | None = None
@@ -132,6 +135,10 @@ class TrainConfig:
     accumulate: int = 1
     """Number of batches that the samples of a step are split into, to need the memory of one of them. A loss with
     statistics over a batch (SILog) then takes them over these smaller batches."""
+    loss_size: Literal["network", "truth"] = "network"
+    """metric: where depth is compared. network: at the size of the network's input, to which the true depth is brought.
+    truth: at the size that the true depth has, to which the prediction is brought (released); every measured point
+    counts then, and none is moved. For sources with the crops "squeeze" and "window"."""
     domain_weight: float = 100.0
     """metric: weight of the router's cross-entropy. 0 leaves it out."""
     chamfer_weight: float = 0.1
@@ -200,6 +207,11 @@ class TrainConfig:
                 raise InputError(f"{name} must be at least 1; it is {getattr(self, name)}")
         if self.stage == "relative" and not isinstance(self.model, ModelConfig):
             raise InputError("a baseline has no relative depth to train: stage 1 is for ZoeDepth, use stage 'metric'")
+        if self.loss_size == "truth" and (cut := [each.name for each in self.sources if each.crop == "fit"]):
+            raise InputError(
+                f"loss_size is 'truth', but the photos of {cut} are cut to fit, and their depth with them: set "
+                "loss_size to 'network', or the crop of these sources to 'squeeze'"
+            )
         windows = {source.window for source in self.sources if source.crop == "window" and source.window is not None}
         if any(side % self.model.multiple for window in windows for side in window):
             raise InputError(

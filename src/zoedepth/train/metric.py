@@ -4,10 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from zoedepth import losses
 from zoedepth.data.sample import Batch
+from zoedepth.model.upsample import upsample
 from zoedepth.model.zoedepth import DepthOutput
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.processes import launch_fabric, total
@@ -84,10 +86,11 @@ def metric_losses(
         sources: the data sets of the training, in the order that ``batch.source`` counts.
     """
     supervision = output.supervision
+    depth, std = at_truth(output.depth, batch), None if output.std is None else at_truth(output.std, batch)
     if supervision.ordinal is not None:
         terms = {"ordinal": losses.ordinal(*supervision.ordinal, batch.target, batch.mask, total=total)}
     else:
-        terms = {"silog": losses.silog(output.depth, batch.target, batch.mask, total=total)}
+        terms = {"silog": losses.silog(depth, batch.target, batch.mask, total=total)}
     if supervision.image_bins is not None and config.chamfer_weight > 0:
         chamfer = losses.bins_chamfer(supervision.image_bins, batch.target, batch.mask, total=total)
         terms["chamfer"] = config.chamfer_weight * chamfer
@@ -97,13 +100,25 @@ def metric_losses(
     if config.log_gradient_weight > 0:
         smooth = torch.tensor([source.gradient_term for source in sources], device=batch.mask.device)
         mask = batch.mask & smooth[batch.source][:, None, None, None]
-        terms["log_gradient"] = config.log_gradient_weight * losses.log_gradient(
-            output.depth, batch.target, mask, total=total
-        )
-    if config.spread_weight > 0 and output.std is not None:
-        spread = losses.spread(output.depth, output.std, batch.target, batch.mask, total=total)
+        terms["log_gradient"] = config.log_gradient_weight * losses.log_gradient(depth, batch.target, mask, total=total)
+    if config.spread_weight > 0 and std is not None:
+        spread = losses.spread(depth, std, batch.target, batch.mask, total=total)
         terms["spread"] = config.spread_weight * spread
     if output.domain_logits is not None and config.domain_weight > 0:
         entropy, n = losses.domain_cross_entropy(output.domain_logits, batch.domain), batch.domain.new_ones(())
         terms["domain"] = config.domain_weight * total(entropy) / total(n)
     return terms
+
+
+def at_truth(prediction: Float[Tensor, "batch 1 height width"], batch: Batch) -> Float[Tensor, "batch 1 rows columns"]:
+    """Bring a prediction to the size of each sample's true depth, as an evaluation does.
+
+    It is bilinear, with aligned corners (released ``trainers/loss.py``). Where the sizes differ within a batch, what
+    was added to a smaller target gets the prediction 1, which no loss looks at.
+    """
+    if batch.sizes is None:
+        return upsample(prediction, batch.target.shape[-2:])
+    found = prediction.new_ones(batch.target.shape)
+    for i, (height, width) in enumerate(batch.sizes.tolist()):
+        found[i, :, :height, :width] = upsample(prediction[i : i + 1], torch.Size([height, width]))[0]
+    return found

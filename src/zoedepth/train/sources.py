@@ -114,8 +114,9 @@ def open_source(source: SourceConfig, data: str | Path) -> _Mapped:
 
 def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Augmentation]:
     """Return the augmentations of a source's samples, in order."""
-    domains = config.model.domains
+    domains, antialias = config.model.domains, config.model.antialias
     steps = [augment.kitti_crop()] if source.kitti_crop else []
+    turned = [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
     if source.crop == "fit":
         steps.append(
             augment.fit_crop(
@@ -124,13 +125,18 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
                 max_zoom=source.max_zoom,
                 probability=source.zoom_probability,
                 sparse=source.sparse,
+                antialias=antialias,
             )
         )
+        steps += turned
     elif source.crop == "window":
-        steps.append(augment.window(source.window or config.model.size, sparse=source.sparse))
+        steps.append(augment.window(source.window or config.model.size, sparse=source.sparse, antialias=antialias))
+        steps += turned
     else:
-        steps.append(augment.squeeze(config.model.size, sparse=source.sparse))
-    steps += [augment.flip(), augment.rotate(degrees=source.rotate_degrees)]
+        # Turned before it is squeezed: after it, one degree tilts verticals by more, and horizontals by less.
+        steps += turned
+        keep = config.stage == "metric" and config.loss_size == "truth"
+        steps.append(augment.squeeze(config.model.size, sparse=source.sparse, antialias=antialias, keep_target=keep))
     steps.append(
         augment.jitter_colors(
             probability=source.color_probability,
@@ -148,7 +154,8 @@ def augmentations(source: SourceConfig, config: TrainConfig) -> list[augment.Aug
         if config.model.canonical_camera:
             assume = source.without_camera == "assume"
             steps.append(augment.canonical_camera(focal_px, data=source.name, assume=assume))
-        ranges = {domain.name: (domain.min_depth, domain.max_depth) for domain in domains}
+        nearest = source.min_depth or 0.0
+        ranges = {domain.name: (max(nearest, domain.min_depth), domain.max_depth) for domain in domains}
         steps.append(partial(_limit_by_domain, ranges=ranges))
     return steps
 

@@ -15,13 +15,13 @@ TINY = AttractorConfig(
 NORMED = replace(TINY, centers="normed")
 OPTIONS = {
     "paper": TINY,
-    "mean": replace(TINY, reduce="mean"),
+    "sum": replace(TINY, reduce="sum"),
     "exponential": replace(TINY, kind="exponential"),
     "odd-gamma": replace(TINY, alpha=3.0, gamma=3.0),
     "gamma-one": replace(TINY, alpha=3.0, gamma=1.0),
     "normed": NORMED,
-    "normed-mean": replace(NORMED, reduce="mean"),
-    "normed-released": replace(NORMED, reduce="mean", attractor_ratio=False),
+    "normed-sum": replace(NORMED, reduce="sum"),
+    "normed-released": replace(NORMED, attractor_ratio=False),
     "no-relative": replace(TINY, relative_input=False, bottleneck_factor=4),
     "softmax": replace(TINY, probability="softmax"),
     "geometric": replace(TINY, initial_centers="geometric", alpha=1.0),
@@ -36,7 +36,7 @@ class TestAttractorHead(HeadTester):
         replace(config, n_attractors=(2, 1, 1, 1))
         for config in (
             TINY,
-            replace(NORMED, kind="exponential", reduce="mean", attractor_ratio=False, relative_input=False),
+            replace(NORMED, kind="exponential", reduce="sum", attractor_ratio=False, relative_input=False),
             replace(NORMED, gamma=3.0, probability="softmax"),
         )
     )
@@ -44,7 +44,7 @@ class TestAttractorHead(HeadTester):
         "n_bins": (9, {}),
         "n_attractors": ((4, 3, 2, 2), {}),
         "kind": ("exponential", {}),
-        "reduce": ("mean", {}),
+        "reduce": ("sum", {}),
         "alpha": (100.0, {}),
         "gamma": (3.0, {}),
         "centers": ("normed", {}),
