@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
+import trimesh
 import uvicorn
 from PIL import Image
 from plyfile import PlyData
@@ -32,7 +33,7 @@ from zoedepth.serve.server import bind
 from zoedepth.serve.settings import Settings
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, BrowserContext, Page, Request
+    from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
 WIDTH, HEIGHT = 96, 72
@@ -93,7 +94,7 @@ class Visit:
         self.page.wait_for_selector('#work[aria-busy="false"]', state="attached")
 
     def text(self, selector: str) -> str:
-        return self.page.locator(selector).inner_text()
+        return self.page.locator(selector).first.inner_text()
 
     def stage(self) -> tuple[float, float, float, float]:
         box = self.page.locator("#stage").bounding_box()
@@ -148,19 +149,28 @@ def service_url(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator["Browser"]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+    playwright = pytest.importorskip(
+        "playwright.sync_api", reason="playwright is not installed: pip install playwright"
+    )
     with playwright.sync_playwright() as started:
         browser = started.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
         )
         yield browser
         browser.close()
 
 
+@pytest.fixture(scope="module")
+def desktop(browser: "Browser") -> Iterator["Page"]:
+    """A window that all tests share: a new one takes longer than a test."""
+    context = browser.new_context(viewport={"width": 1000, "height": 640})
+    yield context.new_page()
+    context.close()
+
+
 @pytest.fixture
-def visit(browser: "Browser", service_url: str) -> Iterator[Visit]:
-    with_context = browser.new_context(viewport={"width": 1100, "height": 760})
-    yield from visited(with_context, service_url)
+def visit(desktop: "Page", service_url: str) -> Iterator[Visit]:
+    yield from visited(desktop, service_url)
 
 
 @pytest.fixture
@@ -168,30 +178,40 @@ def phone(browser: "Browser", service_url: str) -> Iterator[Visit]:
     context = browser.new_context(
         viewport={"width": 360, "height": 740}, device_scale_factor=2, is_mobile=True, has_touch=True
     )
-    yield from visited(context, service_url)
+    yield from visited(context.new_page(), service_url)
+    context.close()
 
 
 @pytest.fixture
-def service(visit: Visit, service_url: str) -> Service:
-    return Service(service_url, visit.page.request)
+def service(desktop: "Page", service_url: str) -> Service:
+    return Service(service_url, desktop.request)
 
 
-def visited(context: "BrowserContext", url: str) -> Iterator[Visit]:
+def visited(page: "Page", url: str) -> Iterator[Visit]:
     """Open the page, and see in the end that it asked this host alone and complained of nothing."""
-    context.set_default_timeout(1000 * LONGEST)
-    visit = Visit(context.new_page())
+    page.set_default_timeout(1000 * LONGEST)
+    visit = Visit(page)
 
     def asked(request: "Request") -> None:
         if not request.url.startswith(("blob:", "data:")):
             visit.hosts.add(request.url.split("/")[2])
 
-    visit.page.on("request", asked)
-    visit.page.on("console", lambda message: message.type == "error" and visit.complaints.append(message.text))
-    visit.page.on("pageerror", lambda error: visit.complaints.append(str(error)))
-    visit.page.goto(url)
-    visit.page.wait_for_selector("#model option", state="attached")
+    def said(message: "ConsoleMessage") -> None:
+        if message.type == "error":
+            visit.complaints.append(message.text)
+
+    def failed(error: "Error") -> None:
+        visit.complaints.append(str(error))
+
+    page.on("request", asked)
+    page.on("console", said)
+    page.on("pageerror", failed)
+    page.goto(url)
+    page.wait_for_selector("#model option", state="attached")
     yield visit
-    context.close()
+    page.remove_listener("request", asked)
+    page.remove_listener("console", said)
+    page.remove_listener("pageerror", failed)
     assert visit.hosts == {url.split("/")[2]}
     assert visit.complaints == []
 
@@ -250,7 +270,6 @@ class TestPage:
                 visit.page.mouse.move(x, y)
                 before = visit.hover((x, y))
                 visit.page.mouse.wheel(0, -500 * np.log(zoom / sizes[-1][0]))
-                waits_until(lambda: visit.stage() is not None)
                 assert visit.hover((x, y)) == before, "what was under the pointer stays there"
             visit.split(1)
             photographed = visit.picture()
@@ -330,7 +349,7 @@ class TestPage:
         value = wide["depth"][row, column]
         assert in_metres(visit.text("#pins li")) == pytest.approx(value, abs=rounded_to(value))
         held: list[Any] = []
-        visit.page.route("**/v1/depth*", held.append)
+        visit.page.route("**/v1/depth*", lambda route: held.append(route))
         visit.page.fill("#fov", "40")
         value = narrow["depth"][row, column]
         assert value > 2 * wide["depth"][row, column]
@@ -338,8 +357,8 @@ class TestPage:
         assert at_once == pytest.approx(value, abs=rounded_to(value))
         while not held:
             visit.page.wait_for_timeout(10)
-        visit.page.unroute("**/v1/depth*")
         held[0].continue_()
+        visit.page.unroute("**/v1/depth*")
         visit.settled()
         assert in_metres(visit.text("#pins li")) == at_once
         focal = WIDTH / 2 / np.tan(np.radians(20))
@@ -393,8 +412,6 @@ class TestPage:
         vertices = PlyData.read(download("ply"))["vertex"]
         assert len(vertices["x"]) == valid.sum()
         check_points(np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64))
-        import trimesh
-
         surface = trimesh.load(download("glb"), process=False).to_geometry()  # type: ignore[union-attr]
         assert len(surface.faces) > 1000
         check_points(np.asarray(surface.vertices, np.float64) * (1, -1, -1))
@@ -500,7 +517,9 @@ class TestFiles:
             if path.suffix not in (".html", ".js"):
                 continue
             text = path.read_text(encoding="utf-8")
-            for name in re.findall(r'(?:href|src|data-example|from|\.src =)[= ]?"\.?/?([\w./-]+\.(?:js|css|svg|jpg))"', text):
+            for name in re.findall(
+                r'(?:href|src|data-example|from|\.src =)[= ]?"\.?/?([\w./-]+\.(?:js|css|svg|jpg))"', text
+            ):
                 assert f"/{name}" in served, f"{path.name} wants {name}"
         assert b"three.js" in served["/three.min.js"].content[:100]
 
@@ -510,5 +529,7 @@ class TestFiles:
         for name in ("magma", "turbo", "Spectral"):
             found = re.search(rf"{name}:\s*((?:\"[0-9a-f]+\"[\s+]*)+),", text)
             assert found
-            table = np.frombuffer(bytes.fromhex("".join(re.findall(r"[0-9a-f]{6,}", found[1]))), np.uint8).reshape(-1, 3)
+            table = np.frombuffer(bytes.fromhex("".join(re.findall(r"[0-9a-f]{6,}", found[1]))), np.uint8).reshape(
+                -1, 3
+            )
             np.testing.assert_array_equal(table, colorize(levels, vmin=1, vmax=256, colormap=name)[0])

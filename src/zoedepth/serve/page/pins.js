@@ -1,5 +1,6 @@
 // Pins: pixels that were picked, their readings, the distances between one and the next, and what was measured of them.
 
+import {SAYS} from "./camera-panel.js";
 import {metres} from "./depth.js";
 import {element, move} from "./dom.js";
 
@@ -110,7 +111,7 @@ export class Pins extends EventTarget {
   lengthRow(pin, number, length) {
     const value = element("div", {},
       element("strong", {textContent: length === null ? "–" : metres(length)}),
-      element("small", {textContent: `from ${number - 1} to ${number}, in space`}));
+      element("small", {textContent: `from ${number - 1} to ${number}; camera: ${SAYS[this.depth.camera.source]}`}));
     const measured = this.field(pin, "length", `Measured metres from pin ${number - 1} to pin ${number}`, number - 1,
       length !== null);
     return element("li", {className: "length"}, element("span", {className: "number", textContent: "↕"}), value, measured,
