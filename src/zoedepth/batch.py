@@ -13,22 +13,23 @@ import os
 import time
 import unicodedata
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cache
-from itertools import count
+from io import BytesIO
+from itertools import count, groupby, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from zoedepth import __version__
 from zoedepth.calibration import Calibration
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError, ZoeDepthError
-from zoedepth.folders import Listing, check_writable, list_files, service_folder
+from zoedepth.folders import Listing, check_writable, service_folder, walk_files
 from zoedepth.images import IMAGE_SUFFIXES, read_image
 from zoedepth.outputs import OUTPUTS, Maps, Options, output_names
 from zoedepth.outputs import sidecar as sidecars
@@ -50,7 +51,8 @@ _OTHER_PICTURES = {
          ".mp4 .mov .avi .mkv .m4v .mts .m2ts .webm .insv .insp .360"),
         ("which are documents: save their pictures as JPEG or PNG", ".psd .pdf .svg .xcf .ai"),
         ("which have a wide range of light: save them as JPEG or PNG", ".exr .hdr .pfm"),
-        ("which are archives: unpack them first", ".zip .tar .tgz .gz .7z .rar"),
+        ("which are archives: name a .zip or .tar itself, or unpack it", ".zip .tar .tgz"),
+        ("which are archives: unpack them first", ".gz .7z .rar"),
     )
     for suffix in suffixes.split()
 }  # fmt: skip
@@ -67,6 +69,26 @@ _NOT_CALIBRATED = (
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Origin(Protocol):
+    """The place of a photo that is no file here: a member of an archive, an object of a store."""
+
+    @property
+    def name(self) -> str:
+        """The name of the photo, for people and for its sidecar."""
+        ...
+
+    def read(self) -> bytes:
+        """Return the photo's bytes.
+
+        Raises:
+            InputError: they cannot be read.
+        """
+        ...
+
 
 @dataclass(frozen=True)
 class Photo:
@@ -75,6 +97,13 @@ class Photo:
     path: Path
     target: Path
     """The path of its files without their endings: <out>/<folder>/<name>."""
+    origin: Origin | None = None
+    """Its place, if it is no file at ``path``."""
+
+    @property
+    def name(self) -> str:
+        """The path as it was given, or the name that its origin has for it."""
+        return str(self.path) if self.origin is None else self.origin.name
 
     def file(self, ending: str) -> Path:
         """Return the path of the file with this ending, e.g. "_depth.png"."""
@@ -190,53 +219,146 @@ def find_photos(sources: Iterable[str], out: Path) -> Found:
         sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg").
         out: the folder that the files go to. It need not exist.
     """
-    sources, found = list(sources), Found()
-    several_folders = sum(Path(source).is_dir() for source in sources) > 1
-    places: dict[str, tuple[Path, Path]] = {}  # where a photo really is -> its path and its place in the tree
-    real_folder = cache(os.path.realpath)
-
-    def add(path: Path, place: Path) -> None:
-        places.setdefault(os.path.join(real_folder(path.parent), path.name), (path, place))
-
-    for source in sources:
-        path = Path(source)
-        if path.is_dir():
-            listing, root = list_files(path), path
-            above = path.resolve().name if several_folders else ""
-        elif os.path.lexists(path):
-            add(path, Path(path.name))  # named one by one: tried whatever its suffix
-            continue
-        elif glob.has_magic(source):
-            root, above = _fixed_part(source), ""
-            listing = _matching(source, root)
-            if not listing.files:
-                found.unreadable[source] = "matches no file"
-        else:
-            found.unreadable[source] = "no such file or folder"
-            continue
-        found.unreadable.update(listing.unreadable)
-        found.left_out.update(listing.left_out)
-        for file in listing.files:
-            if reason := _no_photo(file):
-                found.left_out[reason] += 1
-            elif not file.suffix and file.is_symlink() and not file.exists():
-                found.unreadable[str(file)] = "the link leads nowhere: is the disk there?"
-            elif file.suffix.lower() in IMAGE_SUFFIXES:
-                add(file, above / file.relative_to(root))
-    found.photos = _with_targets(list(places.values()), out)
+    found = Found()
+    for path, _, target in walk_photos(sources, found, seen=NamesInMemory(), taken=NamesInMemory()):
+        found.photos.append(Photo(path, out / target))
     return found
 
 
-def blocked(photo: Photo, request: Request) -> str | None:
+class Names(Protocol):
+    """A set of names that remembers what was added."""
+
+    def add(self, name: str) -> bool:
+        """Add a name; returns True if it was not there before."""
+        ...
+
+
+class NamesInMemory:
+    """A set of names in memory."""
+
+    def __init__(self) -> None:
+        self._names: set[str] = set()
+
+    def add(self, name: str) -> bool:
+        """See ``Names``."""
+        before = len(self._names)
+        self._names.add(name)
+        return len(self._names) > before
+
+
+def walk_photos(
+    sources: Iterable[str], found: Found, *, seen: Names, taken: Names, above: str | None = None
+) -> Iterator[tuple[Path, Path, Path]]:
+    """Find photos as ``find_photos`` does, and yield each as soon as the folder that it lies in was listed.
+
+    Args:
+        sources: photos, folders and globs.
+        found: gets what cannot be read, and what is left out, as it is found. Its ``photos`` stay as they are.
+        seen: the photos that were found before; they are not yielded again.
+        taken: the targets that photos have.
+        above: name of a folder that all photos of folders are put in; None: the folder's own, where there are several.
+
+    Yields:
+        The path, its place in the tree of all photos, and its target, the place that its files take without an ending.
+    """
+    sources = list(sources)
+    several_folders = sum(Path(source).is_dir() for source in sources) > 1
+    named: list[tuple[Path, Path]] = []
+    for source in sources:
+        path = Path(source)
+        if not path.is_dir() and os.path.lexists(path):
+            named.append((path, Path(path.name)))  # named one by one: tried whatever its suffix
+            continue
+        yield from _new(named, seen, taken)
+        named = []
+        listing = Listing()
+        if path.is_dir():
+            root = path
+            place = above if above is not None else path.resolve().name if several_folders else ""
+            folders = walk_files(path, listing)
+        elif glob.has_magic(source):
+            root, place = _fixed_part(source), above or ""
+            folders = _matching(source, root, listing)
+        else:
+            found.unreadable[source] = "no such file or folder"
+            continue
+        n_files = 0
+        for files in folders:
+            n_files += len(files)
+            yield from _new([(file, place / file.relative_to(root)) for file in _photos(files, found)], seen, taken)
+        if not n_files and not path.is_dir():
+            found.unreadable[source] = "matches no file"
+        found.unreadable.update(listing.unreadable)
+        found.left_out.update(listing.left_out)
+    yield from _new(named, seen, taken)
+
+
+def _photos(files: Iterable[Path], found: Found) -> Iterator[Path]:
+    """Yield the photos among the files of folders, and keep what else was there."""
+    for file in files:
+        if reason := _no_photo(file):
+            found.left_out[reason] += 1
+        elif not file.suffix and file.is_symlink() and not file.exists():
+            found.unreadable[str(file)] = "the link leads nowhere: is the disk there?"
+        elif file.suffix.lower() in IMAGE_SUFFIXES:
+            yield file
+
+
+def _new(photos: Iterable[tuple[Path, Path]], seen: Names, taken: Names) -> Iterator[tuple[Path, Path, Path]]:
+    """Yield those photos that were not seen before, each with a target that no other has.
+
+    Args:
+        photos: paths, and their places in the tree; photos that are found together, such as those of one folder.
+        seen: see ``walk_photos``.
+        taken: see ``walk_photos``.
+    """
+    real_folder = cache(os.path.realpath)
+    new = [(path, place) for path, place in photos if seen.add(os.path.join(real_folder(path.parent), path.name))]
+    yield from (
+        (path, place, target)
+        for (path, place), target in zip(new, targets([place for _, place in new], taken), strict=True)
+    )
+
+
+def targets(places: Sequence[Path], taken: Names) -> Iterator[Path]:
+    """Yield for each place in a tree a target: the path of its files without their endings, which no other has.
+
+    Args:
+        places: places of photos that are found together.
+        taken: the targets that others have.
+    """
+
+    def key(place: Path) -> str:
+        # a.jpg and A.png share their files on Windows and macOS, and so do two ways to write é on macOS.
+        return unicodedata.normalize("NFC", unicodedata.normalize("NFD", str(place)).casefold())
+
+    n_sharing = Counter(key(place.with_suffix("")) for place in places)
+
+    def names(place: Path) -> Iterator[Path]:
+        if n_sharing[key(place.with_suffix(""))] == 1:
+            yield place.with_suffix("")
+        yield place
+        yield from (place.with_name(f"{place.name}-{number}") for number in count(2))
+
+    for place in places:
+        yield next(name for name in names(place) if taken.add(key(name)))
+
+
+def blocked(photo: Photo, request: Request, *, own: Collection[str] = ()) -> str | None:
     """Return why the files of a photo cannot be written: another program's, or another photo's, would be replaced.
 
     None: nothing is there, or what this package wrote for this photo before.
+
+    Args:
+        photo: the photo.
+        request: the files that would be written.
+        own: names of files that are known to be this photo's.
     """
     sidecar = sidecars.read_sidecar(photo.file(sidecars.ENDING))
-    if sidecar is not None and not sidecars.of_same_photo(sidecar, photo.path):
+    if sidecar is not None and not sidecars.of_same_photo(sidecar, Path(photo.name)):
         return f"{photo.file(sidecars.ENDING)} is of {sidecar['source']}, another photo: choose another folder"
-    for file in _files(photo, request).values():
-        if os.path.lexists(file) and not is_own_file(file):
+    for file in files_of(photo, request).values():
+        if os.path.lexists(file) and file.name not in own and not is_own_file(file):
             return f"{file} is not from zoedepth and would be replaced: choose another folder, or move it"
     return None
 
@@ -250,16 +372,52 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
     """
     if reason := blocked(photo, request):
         raise InputError(reason)
+    maps = predict_maps(photo, predictor, request)
+    folder = photo.target.parent
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".", dir=folder) as drafts:
+        earlier = earlier_files(photo, {file.name for file in files_of(photo, request).values()})
+        draft = write_drafts(photo, maps, request, Path(drafts), earlier=earlier)
+        files = files_of(photo, request)
+        for kind, file in draft.files.items():
+            file.replace(files[kind])
+    return replace(draft, files=files)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """The maps of a photo, before they are written."""
+
+    maps: Maps
+    origin: Mapping[str, object]
+    """How they were made, for the sidecar."""
+    seconds: float
+    """Time that reading and predicting the photo took."""
+    notes: tuple[str, ...] = ()
+    """Sentences for the user about the photo, see ``Written``."""
+
+
+def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Predicted:
+    """Predict one photo, and write nothing.
+
+    Raises:
+        InputError: the photo cannot be read or predicted.
+    """
     started = time.perf_counter()
+    content = None if photo.origin is None else photo.origin.read()
+
+    def picture() -> Any:
+        return photo.path if content is None else _NamedBytes(content, photo.name)
+
     notes: tuple[str, ...] = ()
     if request.relative:
-        image = read_image(photo.path)
+        image = read_image(picture())
         maps = Maps(relative=predictor.relative(image), image=image)
         origin: dict[str, object] = {"input_size": image.shape[:2]}
-    elif request.panorama or is_sphere(photo.path):
-        maps, origin = _look_around(photo.path, predictor, request)
+    elif request.panorama or is_sphere(picture()):
+        maps, origin = _look_around(picture(), predictor, request)
     else:
-        result = predictor(photo.path, domain=request.domain)
+        result = predictor(picture(), domain=request.domain)
         if request.calibration is not None:
             result = result.calibrated(request.calibration, network=request.model)
         if predictor.corrects_known_cameras and result.camera.source == "assumed":
@@ -273,30 +431,53 @@ def predict_photo(photo: Photo, predictor: "Predictor", request: Request) -> Out
             "domain_probability": sidecars.rounded(result.domain_probability),
             **_about_camera(result),
         }
-    seconds = time.perf_counter() - started
-    folder = photo.target.parent
-    folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=".", dir=folder) as drafts:
-        draft = Photo(photo.path, Path(drafts, photo.target.name))
-        written = {name: OUTPUTS[name].write(draft.file(OUTPUTS[name].ending), maps, request.options)
-                   for name in request.names}  # fmt: skip
-        names = {name: draft.file(OUTPUTS[name].ending).name for name in written}
-        sidecar = {
-            **sidecars.describe(
-                maps,
-                origin={"source": str(photo.path), "model": request.model, **origin},
-                facts={key: value for output in written.values() for key, value in output.facts.items()},
-                files=names,
-            ),
-            **_files_of_earlier_runs(photo, set(names.values())),
-            "zoedepth": __version__,
-            "seconds": round(seconds, 3),
-        }
-        sidecars.write_sidecar(draft.file(sidecars.ENDING), sidecar)
-        files = _files(photo, request)
-        for kind, file in files.items():
-            _files(draft, request)[kind].replace(file)
-    return Outcome(photo, sidecar, files, (*notes, *(note for output in written.values() for note in output.notes)))
+    return Predicted(maps, origin, time.perf_counter() - started, notes)
+
+
+def write_drafts(
+    photo: Photo, predicted: Predicted, request: Request, folder: Path, *, earlier: Sequence[str] = ()
+) -> Outcome:
+    """Write all files of a photo to a folder from which they can be moved to their places.
+
+    Args:
+        photo: the photo.
+        predicted: its maps.
+        request: the files to make.
+        folder: where to write; it must be there.
+        earlier: names of files that earlier runs wrote for this photo: its sidecar goes on to know them.
+
+    Returns:
+        The outcome, with the paths of the drafts, the sidecar last.
+
+    Raises:
+        InputError: the maps lack what a kind of file needs.
+        OSError: a file cannot be written.
+    """
+    draft = Photo(photo.path, folder / photo.target.name)
+    files = files_of(draft, request)
+    written = {name: OUTPUTS[name].write(files[name], predicted.maps, request.options) for name in request.names}
+    sidecar = {
+        **sidecars.describe(
+            predicted.maps,
+            origin={"source": photo.name, "model": request.model, **predicted.origin},
+            facts={key: value for output in written.values() for key, value in output.facts.items()},
+            files={name: files[name].name for name in written},
+        ),
+        **({"other_files": list(earlier)} if earlier else {}),
+        "zoedepth": __version__,
+        "seconds": round(predicted.seconds, 3),
+    }
+    sidecars.write_sidecar(files["sidecar"], sidecar)
+    notes = (*predicted.notes, *(note for output in written.values() for note in output.notes))
+    return Outcome(photo, sidecar, files, notes)
+
+
+class _NamedBytes(BytesIO):
+    """Bytes as an open file with a name, for messages."""
+
+    def __init__(self, content: bytes, name: str) -> None:
+        super().__init__(content)
+        self.name = name
 
 
 def predict_all(
@@ -324,28 +505,57 @@ def predict_all(
 
     def predict_one(photo: Photo) -> Outcome:
         try:
-            if clash := [file.name for file in _files(photo, request).values() if os.path.abspath(file) in inputs]:
+            if clash := [file.name for file in files_of(photo, request).values() if os.path.abspath(file) in inputs]:
                 raise InputError(f"its {clash[0]} would overwrite another photo, choose another folder to write to")
             return predict_photo(photo, predictor, request)
         except ZoeDepthError as error:
             return Outcome(photo, failure=f"{photo.path}: {error}")
         except OSError as error:  # reading it has errors of its own
-            if (end := _end_of_writing(photo, error)) is not None:
+            if (end := end_of_writing(photo, error)) is not None:
                 ends.append(end)
             return Outcome(photo, failure=f"{photo.path}: its files cannot be written ({error.strerror or error})")
         except Exception as error:  # out of memory: the rest of ten thousand may still go well
             return Outcome(photo, failure=f"{photo.path}: {type(error).__name__}: {error}")
 
-    executor = ThreadPoolExecutor(workers)
-    waiting: deque[Future[Outcome]] = deque()
+    yield from in_turn(predict_one, photos, workers=workers, stop=lambda: ends[0] if ends else None)
+
+
+def in_turn(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    workers: int,
+    ahead: int | None = None,
+    stop: Callable[[], InputError | None] = lambda: None,
+) -> Iterator[Result]:
+    """Do ``workers`` items at a time, each in a thread, and yield their results in the order of the items.
+
+    When the work is stopped or interrupted, or the iterator is closed, items that have begun are finished; after an
+    error or a KeyboardInterrupt their results are still yielded before it goes on.
+
+    Args:
+        work: function of an item. It must not raise.
+        items: things to do. They are asked for as they are needed.
+        workers: items that are done at the same time.
+        ahead: items that are asked for before the first of them is done, at most; None: four for each worker.
+        stop: returns why no other item shall be begun, or None. It is asked after each result.
+
+    Raises:
+        InputError: the error that ``stop`` returned.
+    """
+    executor, source = ThreadPoolExecutor(workers), iter(items)
+    waiting: deque[Future[Result]] = deque()
     try:
-        waiting.extend(executor.submit(predict_one, photo) for photo in photos)
-        while waiting:
-            outcome = waiting[0].result()
+        while True:
+            for item in islice(source, (ahead or 4 * workers) - len(waiting)):
+                waiting.append(executor.submit(work, item))
+            if not waiting:
+                break
+            result = waiting[0].result()
             waiting.popleft()
-            yield outcome
-            if ends:
-                raise ends[0]
+            yield result
+            if (error := stop()) is not None:
+                raise error
     except (KeyboardInterrupt, InputError):
         executor.shutdown(cancel_futures=True)
         yield from (done.result() for done in waiting if not done.cancelled() and done.exception() is None)
@@ -377,7 +587,7 @@ def cpu_count() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _look_around(panorama: Path, predictor: "Predictor", request: Request) -> tuple[Maps, dict[str, object]]:
+def _look_around(panorama: Any, predictor: "Predictor", request: Request) -> tuple[Maps, dict[str, object]]:
     """Return the maps of a panorama, and how they were made."""
     if predictor.camera != "exif":
         raise InputError("it is a panorama, which looks everywhere and has no camera: leave the camera out (--camera)")
@@ -404,21 +614,20 @@ def _about_camera(result: DepthMap) -> dict[str, object]:
     return about
 
 
-def _files(photo: Photo, request: Request) -> dict[str, Path]:
+def files_of(photo: Photo, request: Request) -> dict[str, Path]:
     """Return all files of a photo by their outputs, the sidecar last: where it is, the others are complete."""
     endings = {name: OUTPUTS[name].ending for name in request.names} | {"sidecar": sidecars.ENDING}
     return {name: photo.file(ending) for name, ending in endings.items()}
 
 
-def _files_of_earlier_runs(photo: Photo, names: set[str]) -> dict[str, object]:
-    """Return what a sidecar says of files that it does not describe, and that are still there: they are ours, too."""
+def earlier_files(photo: Photo, names: set[str]) -> list[str]:
+    """Return the names of files that a sidecar tells of besides ``names``, and that are still there: they are ours."""
     sidecar = sidecars.read_sidecar(photo.file(sidecars.ENDING))
     earlier = set() if sidecar is None else sidecars.listed(sidecar) - names
-    there = sorted(name for name in earlier if photo.target.with_name(name).exists())
-    return {"other_files": there} if there else {}
+    return sorted(name for name in earlier if photo.target.with_name(name).exists())
 
 
-def _end_of_writing(photo: Photo, error: OSError) -> InputError | None:
+def end_of_writing(photo: Photo, error: OSError) -> InputError | None:
     """Return the reason why no file can be written any more; None where it is this photo alone that fails."""
     folder = photo.target.parent
     if error.errno in _DISK_FULL:
@@ -437,9 +646,14 @@ def _no_photo(file: Path) -> str | None:
         return "written by zoedepth"
     if suffix in IMAGE_SUFFIXES:
         return None
+    return left_out(suffix) if suffix or not file.is_symlink() or file.exists() else None
+
+
+def left_out(suffix: str) -> str:
+    """Return why files with a suffix (lower case) are no photos, with advice where there is some."""
     if suffix in _OTHER_PICTURES:
         return f"{suffix} files, {_OTHER_PICTURES[suffix]}"
-    return "files of other kinds" if suffix or not file.is_symlink() or file.exists() else None
+    return "files of other kinds"
 
 
 def _fixed_part(pattern: str) -> Path:
@@ -449,23 +663,24 @@ def _fixed_part(pattern: str) -> Path:
     return Path(*parts[:n_fixed])
 
 
-def _matching(pattern: str, root: Path) -> Listing:
-    """List the files that match a glob, without those in the folders of other programs.
+def _matching(pattern: str, root: Path, listing: Listing) -> Iterator[list[Path]]:
+    """Yield the files that match a glob, folder by folder, without those in the folders of other programs.
 
     Python's own glob goes round in circles where links do.
     """
     parts = Path(pattern).parts[len(root.parts) :]
     if "**" in parts:
-        listing = list_files(root)
-        listing.files = [file for file in listing.files if _fits(file.relative_to(root).parts, parts)]
-        return listing
-    listing = Listing()
-    for file in map(Path, sorted(glob.glob(pattern))):
-        if service := service_folder(file.relative_to(root).parent):
-            listing.left_out[f"in {service}, where another program keeps its files"] += 1
-        elif file.is_file():
-            listing.files.append(file)
-    return listing
+        for files in walk_files(root, listing):
+            yield [file for file in files if _fits(file.relative_to(root).parts, parts)]
+        return
+    for _, files in groupby(sorted(map(Path, glob.iglob(pattern))), key=lambda file: file.parent):
+        kept = []
+        for file in files:
+            if service := service_folder(file.relative_to(root).parent):
+                listing.left_out[f"in {service}, where another program keeps its files"] += 1
+            elif file.is_file():
+                kept.append(file)
+        yield kept
 
 
 def _fits(names: tuple[str, ...], parts: tuple[str, ...]) -> bool:
@@ -475,27 +690,3 @@ def _fits(names: tuple[str, ...], parts: tuple[str, ...]) -> bool:
     if parts[0] == "**":
         return any(_fits(names[n:], parts[1:]) for n in range(len(names) + 1))
     return bool(names) and fnmatch(names[0], parts[0]) and _fits(names[1:], parts[1:])
-
-
-def _with_targets(photos: list[tuple[Path, Path]], out: Path) -> list[Photo]:
-    """Give each photo, with its place in the tree, a target that no other has."""
-
-    def key(place: Path) -> str:
-        # a.jpg and A.png share their files on Windows and macOS, and so do two ways to write é on macOS.
-        return unicodedata.normalize("NFC", unicodedata.normalize("NFD", str(place)).casefold())
-
-    n_sharing = Counter(key(place.with_suffix("")) for _, place in photos)
-    taken: set[str] = set()
-
-    def names(place: Path) -> Iterator[Path]:
-        if n_sharing[key(place.with_suffix(""))] == 1:
-            yield place.with_suffix("")
-        yield place
-        yield from (place.with_name(f"{place.name}-{number}") for number in count(2))
-
-    targets = []
-    for path, place in photos:
-        name = next(name for name in names(place) if key(name) not in taken)
-        taken.add(key(name))
-        targets.append(Photo(path, out / name))
-    return targets

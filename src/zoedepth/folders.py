@@ -2,6 +2,7 @@
 
 import os
 from collections import Counter, deque
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from pathlib import Path, PurePath
@@ -38,12 +39,23 @@ class Listing:
 
 
 def list_files(folder: Path) -> Listing:
-    """List the files below a folder, each once, in a fixed order.
+    """List the files below a folder, each once, in a fixed order: see ``walk_files``."""
+    listing = Listing()
+    for files in walk_files(folder, listing):
+        listing.files.extend(files)
+    return listing
+
+
+def walk_files(folder: Path, listing: Listing) -> Iterator[list[Path]]:
+    """Yield the files of one folder after the other, each once, in a fixed order.
 
     Links to folders are followed, but a folder is searched once, and a link that leads back up is not followed. Hidden
     files and folders are left out, and so are ``SERVICE_FOLDERS``; the folder itself may be either.
+
+    Args:
+        folder: where to begin.
+        listing: gets what was not looked at, as it is found. Its ``files`` stay as they are.
     """
-    listing = Listing()
     seen: set[str] = set()
     waiting = deque([folder])  # links wait until the folders that are really here were searched
 
@@ -76,10 +88,10 @@ def list_files(folder: Path) -> Listing:
                 else:
                     waiting.append(path)
             folders[:] = kept
-            listing.left_out["hidden"] += sum(name.startswith(".") for name in files)
-            listing.files.extend(Path(where, name) for name in sorted(files) if not name.startswith("."))
+            if hidden := sum(name.startswith(".") for name in files):
+                listing.left_out["hidden"] += hidden
+            yield [Path(where, name) for name in sorted(files) if not name.startswith(".")]
     listing.left_out = +listing.left_out  # without zeros
-    return listing
 
 
 def service_folder(path: PurePath) -> str | None:

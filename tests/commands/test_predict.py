@@ -64,7 +64,9 @@ def at_photo(monkeypatch: pytest.MonkeyPatch, name: str, act: Callable[[], None]
 
 
 def names(folder: Path) -> set[str]:
-    return {file.relative_to(folder).as_posix() for file in folder.rglob("*") if file.is_file()}
+    """Return the files below a folder, without the manifest and its lock."""
+    files = (file for file in folder.rglob("*") if file.is_file() and "zoedepth-manifest" not in file.name)
+    return {file.relative_to(folder).as_posix() for file in files}
 
 
 class TestOptions:

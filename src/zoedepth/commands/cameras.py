@@ -1,8 +1,9 @@
 """The camera of photos as the command line says it, for all commands that predict photos."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from pathlib import Path
 
+from zoedepth.claims import BinaryFile
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
 from zoedepth.geometry.camera_files import read_camera
@@ -12,7 +13,7 @@ from zoedepth.images import read_image
 
 
 def chosen_camera(
-    photos: Sequence[Path],
+    photos: Iterable[Path | BinaryFile],
     *,
     camera: str | None,
     fov_x: float | None,
@@ -26,7 +27,7 @@ def chosen_camera(
     What is in pixels and has no size of its own is of photos of the size of the first that can be read.
 
     Args:
-        photos: the photos, in their order.
+        photos: the photos, in their order, as files or open files; those that are needed are read.
         camera: --camera: "exif", "none" or a file; None is "exif".
         fov_x: --fov-x, degrees.
         fov_y: --fov-y, degrees.
@@ -63,7 +64,7 @@ def chosen_camera(
     return "exif"
 
 
-def _size_of_first(photos: Sequence[Path]) -> tuple[int, int]:
+def _size_of_first(photos: Iterable[Path | BinaryFile]) -> tuple[int, int]:
     """Return the (height, width) of the first photo that can be read."""
     failures = []
     for photo in photos:

@@ -1,10 +1,14 @@
 """``zoedepth predict``: depth maps of photos, folders and globs, as files."""
 
+import os
 import signal
 import threading
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
+from io import BytesIO
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,10 +22,20 @@ from zoedepth.outputs import OUTPUTS, Options, output_names
 from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
-    from zoedepth.batch import Found, Outcome, Request
-    from zoedepth.predict import Predictor
+    from zoedepth.batch import Found, Request
+    from zoedepth.jobs.destinations import Destination
+    from zoedepth.jobs.inputs import Sources
+    from zoedepth.jobs.place import JobPlace
+    from zoedepth.jobs.run import Tally
+    from zoedepth.jobs.work import Done, Input
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
+
+_FIRST = 64
+"""Photos that are listed before the first is predicted, at most: of fewer, all is known then."""
+
+_MOST_FAILURES = 1000  # that are told; the manifest has all
+_PATIENCE = 9.0  # seconds that photos in hand have after SIGTERM
 
 _IN_JSON = {
     "size": "input_size",
@@ -50,7 +64,7 @@ _SAVE = tyro.conf.arg(
 def predict(
     sources: Annotated[tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="PHOTOS...")],
     *,
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    out: Annotated[str, tyro.conf.arg(aliases=["-o"], metavar="PATH")],
     model: str = "zoed-lite",
     save: Annotated[tuple[str, ...], _SAVE] = (),
     preview: bool = True,
@@ -76,19 +90,25 @@ def predict(
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
     workers: int | None = None,
+    overwrite: bool = False,
+    shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
+    column: str | None = None,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Predict depth in metres: for each photo a 16-bit PNG, a colour preview and a JSON sidecar.
 
     The tree of a folder is kept. A photo that cannot be read is reported and skipped, and so is one whose files would
-    replace something that is not from zoedepth. Exit codes: 0 all done, 1 some failed, 2 nothing to do, 130 interrupted
-    by Ctrl-C, 143 ended by SIGTERM.
+    replace something that is not from zoedepth. Killed or interrupted, type the same again: what is missing, failed or
+    changed is done. Exit codes: 0 all done, 1 some failed, 2 nothing to do or a wrong option, 130 interrupted by
+    Ctrl-C, 143 ended by SIGTERM.
 
     Args:
-        sources: photos, folders (searched with their subfolders) and globs ("photos/**/*.jpg"); - is a photo from
-            standard input, for --out -.
-        out: folder to write to: NAME_depth.png, NAME_preview.jpg and NAME.json of each photo. - writes one file of one
-            photo to standard output: the depth, or the one kind of --save.
+        sources: photos, folders (searched with their subfolders), globs ("photos/**/*.jpg"), lists of paths (.txt,
+            .csv, .parquet), archives (.zip, .tar), and addresses of all of these (s3://, gs://, https://); - is a photo
+            from standard input, for --out -.
+        out: folder to write to, or a prefix of a store (s3://): NAME_depth.png, NAME_preview.jpg and NAME.json of each
+            photo, and zoedepth-manifest.jsonl, which says what is done. - writes one file of one photo to standard
+            output: the depth, or the one kind of --save.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
             `zoedepth export`.
         save: names in ``outputs.OUTPUTS``, or suffixes; the summaries of the outputs are the help.
@@ -124,23 +144,33 @@ def predict(
         precision: bfloat16 is faster on hardware made for it.
         workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
             needs memory of its own: give 1 for large models where there is little.
+        overwrite: predict those photos again, too, that are done.
+        shard: do the I-th of N parts of the photos, e.g. 0/4; the other N - 1 commands do the others, on this machine
+            or on others that see the same --out.
+        column: column of a .csv or .parquet list that has the photos; without it image, photo, path, file, url or such.
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
             max in metres), domain, projection, camera, focal_correction, calibration, seconds and error.
     """
-    from zoedepth.batch import Request, blocked, cpu_count, find_photos, share_cores
+    from zoedepth.batch import Request, cpu_count, share_cores
     from zoedepth.calibration import read_calibration
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.streams import STREAM, standard_streams
+    from zoedepth.jobs.inputs import Sources
+    from zoedepth.jobs.origins import is_address
+    from zoedepth.jobs.place import job_place
+    from zoedepth.jobs.shard import JobShard
 
     console = Console(stderr=True, highlight=False)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
-    if out.exists() and not out.is_dir():
+    stored = is_address(out)
+    if not stored and Path(out).exists() and not Path(out).is_dir():
         raise InputError(f"--out {out} is a file: give a folder")
     if workers is not None and workers < 0:
         raise InputError(f"--workers must be 1 or more, got {workers}")
     options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
 
-    streamed = str(out) == STREAM
+    streamed = out == STREAM
+    part = JobShard() if shard is None else JobShard.parse(shard)
     corrections = None if calibration is None else read_calibration(calibration)
 
     def request(*, relative: bool) -> Request:
@@ -152,20 +182,24 @@ def predict(
         )
 
     wanted = request(relative=relative)
-    with standard_streams(sources, out, kinds=wanted.names, json_=json_) as (sources, out):
-        found = find_photos(sources, out)
+    with standard_streams(sources, Path(out), kinds=wanted.names, json_=json_) as (sources, folder):
+        listing = Sources(tuple(sources), column, part, out if stored else "")
+        inputs = listing.inputs()
+        first = list(islice(inputs, _FIRST))
         if json_:
-            for path, reason in found.unreadable.items():
+            for path, reason in listing.found.unreadable.items():
                 _print_json(path, error=reason)
-        if not found.photos:
-            for failure in found.failures:
+        told = set(listing.found.unreadable)
+        if not first:
+            for failure in listing.found.failures:
                 console.print(f"[red]{escape(failure)}[/]", soft_wrap=True)
-            _tell_left_out(found, console)
+            _tell_left_out(listing.found, console)
             searched = ", ".join(sources) or "no source given"
-            console.print(f"No photos to predict ({escape(searched)}; {found.n_ignored} other files).", soft_wrap=True)
+            n_ignored = listing.found.n_ignored
+            console.print(f"No photos to predict ({escape(searched)}; {n_ignored} other files).", soft_wrap=True)
             return EXIT_NOTHING_TO_DO
         known_camera = chosen_camera(
-            [photo.path for photo in found.photos],
+            (photo.path if photo.origin is None else BytesIO(photo.origin.read()) for photo in first),
             camera=camera,
             fov_x=fov_x,
             fov_y=fov_y,
@@ -178,17 +212,19 @@ def predict(
             raise InputError(_NO_METRES)
         if panorama and known_camera != "exif":
             raise InputError(_NO_CAMERA)
-        check_writable(out, option="--out")
-        if (reason := blocked(found.photos[0], wanted)) and all(blocked(photo, wanted) for photo in found.photos):
-            raise InputError(
-                reason if len(found.photos) == 1 else f"{reason}. So it is with all {len(found.photos)} photos"
-            )
+        place = job_place(out if stored else folder, part, kept=not streamed)
+        if not stored:
+            check_writable(folder, option="--out")
+        if len(first) < _FIRST:
+            _refuse_files_of_others(first, place.destination, wanted)
 
         from zoedepth.commands.progress import download_progress
+        from zoedepth.jobs.run import Tally, count_in_background, run_job
+        from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
         from zoedepth.weights.load import load_model
 
-        workers = min(workers or cpu_count(), len(found.photos))  # 0 once stood for all cores
+        workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(workers):
             with download_progress() as progress:
                 network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
@@ -208,60 +244,131 @@ def predict(
             )
             if domain is not None:
                 predictor.domain_index(domain)
-            return _run(found, predictor, wanted, workers=workers, console=console, json_=json_)
+            settings = job_settings(wanted, predictor, weights=network_fingerprint(network, model))
+            tally = Tally(total=len(first) if len(first) < _FIRST else None)
+            if tally.total is None:
+                count_in_background(tally, listing.count)
+            with place.opened() as manifest:
+                manifest.begin(settings, named=listing.named, overwrite=overwrite)
+                results = run_job(
+                    chain(first, inputs),
+                    predictor,
+                    wanted,
+                    manifest=manifest,
+                    destination=place.destination,
+                    workers=workers,
+                    tally=tally,
+                    overwrite=overwrite,
+                    tell_done=json_ or len(first) == 1,
+                )
+                report = _Report(listing, place, tally, console, told, json_=json_, streamed=streamed)
+                return report.of(results)
 
 
-def _run(
-    found: "Found", predictor: "Predictor", wanted: "Request", *, workers: int, console: Console, json_: bool
-) -> int:
-    """Predict all photos under a progress bar, and tell how it went."""
-    from zoedepth.batch import predict_all
-    from zoedepth.commands.progress import track
+def _refuse_files_of_others(first: "Sequence[Input]", destination: "Destination", wanted: "Request") -> None:
+    """Refuse a few photos none of which can be written, before a model is loaded."""
+    photos = [replace(destination.photo(each.path, each.target), origin=each.origin) for each in first]
+    if (reason := destination.blocked(photos[0], wanted)) and all(
+        destination.blocked(photo, wanted) for photo in photos
+    ):
+        raise InputError(reason if len(photos) == 1 else f"{reason}. So it is with all {len(photos)} photos")
 
-    n_written, failures, notes = 0, list(found.failures), Counter[str]()
-    code, state = 0, ""
-    try:
-        with _terminated_as_interrupted():
-            outcomes = predict_all(found.photos, predictor, wanted, workers=workers)
-            for outcome in track(outcomes, "depth", total=len(found.photos), console=console):
-                if outcome.failure is None:
-                    n_written += 1
-                    notes.update(outcome.notes)
-                else:
-                    failures.append(outcome.failure)
-                if json_:
-                    _print_outcome(outcome)
-    except _Terminated:
-        code, state = EXIT_TERMINATED, "Terminated: "
-    except KeyboardInterrupt:
-        code, state = EXIT_INTERRUPTED, "Interrupted: "
-    except InputError as error:
-        code, state = EXIT_FAILED, "Stopped: "
-        failures.append(f"all that follow: {error}")
 
-    for failure in failures:
-        console.print(f"[red]failed[/] {escape(failure)}", soft_wrap=True)
-    for note, n_noted in notes.items():
-        console.print(f"[yellow]{n_noted}[/] {escape(note)}", soft_wrap=True)
-    _tell_left_out(found, console)
-    console.print(
-        f"{state}{n_written} of {len(found.photos)} photos written, {len(failures)} failed, "
-        f"{found.n_ignored} other files",
-        soft_wrap=True,
-    )
-    return code or (EXIT_FAILED if failures else 0)
+class _Report:
+    """Tells how a job goes, and how it went."""
+
+    def __init__(
+        self,
+        listing: "Sources",
+        place: "JobPlace",
+        tally: "Tally",
+        console: Console,
+        told: set[str],
+        *,
+        json_: bool,
+        streamed: bool,
+    ) -> None:
+        self.listing, self.place, self.tally, self.console = listing, place, tally, console
+        self.told, self.json, self.streamed = told, json_, streamed
+        self.failures: list[str] = []
+        self.notes = Counter[str]()
+        self.last: Done | None = None
+
+    def of(self, results: "Iterator[Done]") -> int:
+        """Go through the results under a progress bar, and return the exit code."""
+        from zoedepth.commands.progress import show_tally
+
+        code, state, error = 0, "", ""
+        try:
+            with _terminated_as_interrupted(self._give_up), show_tally(self.tally, "depth", self.console):
+                for done in results:
+                    self._take(done)
+        except _Terminated:
+            code, state = EXIT_TERMINATED, "Terminated: "
+        except KeyboardInterrupt:
+            code, state = EXIT_INTERRUPTED, "Interrupted: "
+        except InputError as end:
+            code, state, error = EXIT_FAILED, "Stopped: ", str(end)
+        n_failed = self._tell(error)
+        self.console.print(f"{state}{self._sum(n_failed)}", soft_wrap=True)
+        if state and not self.streamed:
+            self.console.print("To go on, type the same command again: what is done is not done twice.")
+        return code or (EXIT_FAILED if n_failed else 0)
+
+    def _take(self, done: "Done") -> None:
+        self.last = done
+        self.notes.update(done.notes)
+        error = done.entry.error
+        if error is not None and len(self.failures) < _MOST_FAILURES:
+            self.failures.append(f"{done.name}: {error}")
+        if self.json:
+            files = {kind: self.place.destination.where(file) for kind, (file, _) in done.entry.outputs.items()}
+            about = done.sidecar or self.place.destination.sidecar(done.entry.outputs) if files else {}
+            _print_json(done.name, files=files, about=about, error=error or "")
+
+    def _tell(self, error: str) -> int:
+        """Tell what failed, and what is worth knowing; returns the number of failures."""
+        found, tally = self.listing.found, self.tally
+        if self.json:
+            for path, reason in found.unreadable.items():
+                if path not in self.told:
+                    _print_json(path, error=reason)
+        ends = [f"all that follow: {error}"] if error else []
+        for failure in (*found.failures, *self.failures, *ends):
+            self.console.print(f"[red]failed[/] {escape(failure)}", soft_wrap=True)
+        if tally.failed > len(self.failures):
+            self.console.print(f"and {tally.failed - len(self.failures):,} others, which the manifest lists")
+        for note, n_noted in self.notes.items():
+            self.console.print(f"[yellow]{n_noted}[/] {escape(note)}", soft_wrap=True)
+        _tell_left_out(found, self.console)
+        if self.last is not None and self.last.before and tally.seen == 1:
+            files = ", ".join(self.place.destination.where(file) for file, _ in self.last.entry.outputs.values())
+            again = f"{escape(self.last.name)} is done already: {escape(files)}. To do it again: --overwrite"
+            self.console.print(again, soft_wrap=True)
+        elif tally.before and tally.before == tally.seen:
+            self.console.print(f"All {tally.before:,} photos are done already. To do them again: --overwrite")
+        return len(found.unreadable) + tally.failed + len(ends)
+
+    def _sum(self, n_failed: int) -> str:
+        tally = self.tally
+        of_total = "" if tally.total is None else f" of {tally.total}"
+        before = f", {tally.before} done before" if tally.before else ""
+        n_ignored = self.listing.found.n_ignored
+        return f"{tally.done}{of_total} photos written, {n_failed} failed{before}, {n_ignored} other files"
+
+    def _give_up(self) -> None:
+        """End the process at once: the photos in hand take too long for whoever has sent SIGTERM."""
+        self.console.print(
+            f"Terminated: {self._sum(self.tally.failed)}. The photos in hand took longer than {_PATIENCE:g} s, and "
+            "were left. To go on, type the same command again",
+            soft_wrap=True,
+        )
+        os._exit(EXIT_TERMINATED)
 
 
 def _tell_left_out(found: "Found", console: Console) -> None:
     for reason, number in found.left_out.items():
         console.print(f"left out ({number}): {escape(reason)}", soft_wrap=True)
-
-
-def _print_outcome(outcome: "Outcome") -> None:
-    photo, sidecar = outcome.photo, outcome.sidecar
-    if outcome.failure is not None:
-        return _print_json(str(photo.path), error=outcome.failure.removeprefix(f"{photo.path}: "))
-    return _print_json(str(photo.path), files={kind: str(file) for kind, file in outcome.files.items()}, about=sidecar)
 
 
 def _print_json(
@@ -277,10 +384,19 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM, with which systems and schedulers end a program, do what Ctrl-C does."""
+def _terminated_as_interrupted(give_up: Callable[[], None]) -> Iterator[None]:
+    """Let SIGTERM, with which systems and schedulers end a program, do what Ctrl-C does.
+
+    They kill what does not end soon. So ``give_up`` is called ``_PATIENCE`` seconds after the signal, if the block has
+    not ended then.
+    """
+    timers: list[threading.Timer] = []
 
     def end(*_: object) -> None:
+        if not timers:
+            timers.append(threading.Timer(_PATIENCE, give_up))
+            timers[0].daemon = True
+            timers[0].start()
         raise _Terminated
 
     if threading.current_thread() is not threading.main_thread():  # others get no signals
@@ -290,4 +406,6 @@ def _terminated_as_interrupted() -> Iterator[None]:
     try:
         yield
     finally:
+        for timer in timers:
+            timer.cancel()
         signal.signal(signal.SIGTERM, before)

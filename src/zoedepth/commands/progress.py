@@ -1,9 +1,10 @@
 """Show on standard error how far a command is: a bar on a terminal, and a line now and then in a file or a pipe."""
 
+import threading
 from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
 from time import monotonic
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,8 +20,13 @@ from rich.progress import (
 
 import zoedepth.download
 
+if TYPE_CHECKING:
+    from zoedepth.jobs.run import Tally
+
 EVERY = 15.0
 """Seconds between two lines where there is no terminal."""
+
+_REDRAW = 0.2  # seconds
 
 _Item = TypeVar("_Item")
 
@@ -81,6 +87,59 @@ def track(
             of_total = "" if total is None else f" of {total:,}"
             left = "" if total is None else f", {_span((total - first - done) * (now - began) / done)} left"
             console.print(f"{what}: {first + done:,}{of_total}{left}", soft_wrap=True, markup=False)
+
+
+@contextmanager
+def show_tally(tally: "Tally", what: str, console: Console) -> Iterator[None]:
+    """Show how far a job is until the block ends: a bar on a terminal, elsewhere a line every ``EVERY`` seconds.
+
+    Args:
+        tally: the numbers, which change meanwhile.
+        what: the work, e.g. "depth".
+        console: where to show it.
+    """
+    ended = threading.Event()
+
+    def draw() -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(escape(what), total=tally.total)
+            while not ended.wait(_REDRAW):
+                bar.update(task, completed=tally.seen, total=tally.total)
+
+    def print_lines() -> None:
+        began = monotonic()
+        while not ended.wait(EVERY):
+            console.print(tally_line(tally, what, seconds=monotonic() - began), soft_wrap=True, markup=False)
+
+    thread = threading.Thread(target=draw if console.is_terminal else print_lines, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def tally_line(tally: "Tally", what: str, *, seconds: float) -> str:
+    """Return how far a job is: done, failed, rate, and the time that is left.
+
+    Args:
+        tally: the numbers.
+        what: the work, e.g. "depth".
+        seconds: time since the job began.
+    """
+    n_worked = tally.done + tally.failed
+    of_total = "" if tally.total is None else f" of {tally.total:,}"
+    parts = [f"{what}: {tally.done + tally.before:,}{of_total} done", f"{tally.failed:,} failed"]
+    if tally.before:
+        parts.append(f"{tally.before:,} of them before")
+    if n_worked:
+        rate = n_worked / seconds
+        parts.append(f"{rate:.1f} a second" if rate >= 1 else f"{1 / rate:.1f} s each")
+        if tally.total is not None:
+            parts.append(f"{_span((tally.total - tally.seen) / rate)} left")
+    return ", ".join(parts)
 
 
 def _span(seconds: float) -> str:

@@ -11,11 +11,12 @@ import numpy as np
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.outputs.output import Maps
-from zoedepth.stored import read_json, readable, to_json
+from zoedepth.stored import parse_json, readable, to_json
 
 ENDING = ".json"
 
-_MAX_BYTES = 1 << 16
+MAX_BYTES = 1 << 16
+"""The longest sidecar that is read."""
 
 
 def describe(
@@ -54,10 +55,18 @@ def write_sidecar(path: Path, values: Mapping[str, object]) -> None:
 
 def read_sidecar(path: Path) -> dict[str, Any] | None:
     """Return the content of a sidecar; None where there is no file, or one that this package did not write."""
-    if not path.is_file():
-        return None
     try:
-        values = read_json(path, max_bytes=_MAX_BYTES)
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError:
+        return None
+    return parse_sidecar(content)
+
+
+def parse_sidecar(content: bytes) -> dict[str, Any] | None:
+    """Return the content of a sidecar; None for a text that this package did not write."""
+    try:
+        values = parse_json(content, "the sidecar", max_bytes=MAX_BYTES)
     except InputError:
         return None
     files = values.get("files")

@@ -1,0 +1,62 @@
+"""A lock on the manifest of a job, so that two commands do not do the same inputs."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from zoedepth.errors import InputError
+
+
+def this_process() -> str:
+    """Return the name of this process for people: its number, and the machine it runs on."""
+    return f"process {os.getpid()} on {socket.gethostname()}"
+
+
+@contextmanager
+def only_one(manifest: Path) -> Iterator[None]:
+    """Hold the lock of a manifest until the block ends.
+
+    The system holds the lock for the process, so that it is gone with the process, also after a kill or a crash. It
+    works between machines where the file system hands locks on: NFS since version 4, Lustre and GPFS as they are
+    usually mounted. Where a file system knows no locks, a file stands for it; one that a killed command left there must
+    be deleted by hand, which the error says.
+
+    Args:
+        manifest: the manifest. The lock is a hidden file beside it, which stays.
+
+    Raises:
+        InputError: another command has the lock, or the file cannot be made.
+    """
+    from filelock import FileLock, SoftFileLock, Timeout
+
+    path = manifest.with_name(f".{manifest.name}.lock")
+    lock = FileLock(path, timeout=0)
+    advice = "wait for it, stop it, give each command a --shard of its own, or choose another --out"
+    try:
+        try:
+            lock.acquire()
+        except NotImplementedError:  # filelock's word for a file system without locks
+            path = path.with_suffix(".held")
+            lock = SoftFileLock(path, timeout=0)
+            advice = f"{advice}. If it does not run any more, delete {path}"
+            lock.acquire()
+    except Timeout as error:
+        raise InputError(f"another command works on {manifest} ({_holder(path)}): {advice}") from error
+    except OSError as error:
+        raise InputError(f"cannot write to {manifest.parent} ({error.strerror or error})") from error
+    try:
+        with suppress(OSError):  # for the message above; Windows lets nobody write to a file with a lock
+            path.write_text(this_process(), encoding="utf-8")
+        yield
+    finally:
+        lock.release()
+
+
+def _holder(path: Path) -> str:
+    """Return who has the lock, as far as it says so."""
+    try:
+        return path.read_text(encoding="utf-8")[:200].strip() or "it does not say who"
+    except (OSError, UnicodeDecodeError):
+        return "it does not say who"

@@ -1,0 +1,64 @@
+"""The lock: one command at a time; one that was killed locks nobody out."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import filelock
+import pytest
+
+from zoedepth.errors import InputError
+from zoedepth.jobs.lock import only_one, this_process
+
+HOLD = """
+import sys
+from pathlib import Path
+from zoedepth.jobs.lock import only_one
+with only_one(Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_another_process_has_it_until_it_is_killed(tmp_path: Path) -> None:
+    manifest = tmp_path / "m.jsonl"
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(manifest)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "held\n"
+        message = f"another command works on .*process {process.pid} on .*--shard"
+        with pytest.raises(InputError, match=message), only_one(manifest):
+            pass
+    finally:
+        process.kill()
+        process.wait()
+    with only_one(manifest):
+        assert (tmp_path / ".m.jsonl.lock").read_text() == this_process()
+
+
+def test_two_manifests_of_a_folder_are_no_matter(tmp_path: Path) -> None:
+    with only_one(tmp_path / "a.jsonl"), only_one(tmp_path / "b.jsonl"):
+        pass
+
+
+def test_where_the_file_system_knows_no_locks_a_file_stands_for_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object, **__: object) -> None:
+        raise NotImplementedError("FileSystem does not appear to support flock")
+
+    monkeypatch.setattr(filelock.FileLock, "acquire", unsupported)
+    manifest = tmp_path / "m.jsonl"
+    with only_one(manifest), pytest.raises(InputError, match=r"delete .*held"), only_one(manifest):
+        pass
+    with only_one(manifest):  # given back
+        assert str(os.getpid()) in this_process()
+
+
+def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(InputError, match="cannot write to"), only_one(tmp_path / "file" / "m.jsonl"):
+        pass
