@@ -1,0 +1,246 @@
+"""Inputs: found in folders, lists, archives and stores, one after the other, each once, each at its place."""
+
+import io
+import tarfile
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import fsspec
+import pytest
+from tests.jobs.photos import run, write_photo, write_photos
+
+from zoedepth import folders
+from zoedepth.errors import InputError
+from zoedepth.jobs import inputs as listing
+from zoedepth.jobs.inputs import Sources
+from zoedepth.jobs.shard import JobShard
+
+
+def found(*sources: object, column: str | None = None, out: str = "") -> dict[str, str]:
+    """Name → target, of all inputs, which must each be listed once."""
+    listed = list(Sources(tuple(map(str, sources)), column, out=out).inputs())
+    assert len({each.name for each in listed}) == len(listed)
+    return {each.name: each.target.as_posix() for each in listed}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_photos(tmp_path / "in")
+
+
+def members(folder: Path) -> dict[str, bytes]:
+    return {file.relative_to(folder).as_posix(): file.read_bytes() for file in sorted(folder.rglob("*.png"))}
+
+
+def write_tar(path: Path, files: dict[str, bytes], mode: str = "w") -> Path:
+    with tarfile.open(path, mode) as archive:  # pyright: ignore[reportCallIssue, reportArgumentType]
+        for name, content in files.items():
+            info = tarfile.TarInfo(name)
+            info.size, info.mtime = len(content), 1234567890
+            archive.addfile(info, io.BytesIO(content))
+    return path
+
+
+def write_zip(path: Path, files: dict[str, bytes]) -> Path:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+class TestHere:
+    def test_folders_globs_and_photos_are_found_as_by_find_photos(
+        self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        photo = write_photo(tmp_path / "day 0" / "x.png")
+        monkeypatch.chdir(tmp_path)
+        expected = {str(folder / f"day {i % 2}" / f"{i}.png"): f"day {i % 2}/{i}" for i in range(4)}
+        assert found("in") == found("in/**/*.png") == expected
+        assert found("in", photo) == {**expected, str(photo): "x"}
+        two = found("in", "day 0")
+        assert two == {name: f"in/{target}" for name, target in expected.items()} | {str(photo): "day 0/x"}
+
+    def test_the_first_is_there_before_the_second_folder_is_listed(
+        self, folder: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        listed = []
+        walk = folders.os.walk
+
+        def noted(*arguments: object, **options: object) -> Iterator[object]:
+            for entry in walk(*arguments, **options):  # pyright: ignore[reportArgumentType, reportCallIssue]
+                listed.append(Path(entry[0]).name)
+                yield entry
+
+        monkeypatch.setattr(folders.os, "walk", noted)
+        first = next(Sources((str(folder),)).inputs())
+        assert first.path.name == "0.png"
+        assert listed == ["in", "day 0"]
+
+    def test_what_cannot_be_read_is_kept(self, folder: Path) -> None:
+        sources = Sources((str(folder), str(folder / "none.jpg"), str(folder / "*.jpg")))
+        (folder / "notes.doc").touch()
+        assert len(list(sources.inputs())) == 4
+        assert sources.found.failures == [
+            f"{folder / 'none.jpg'}: no such file or folder", f"{folder / '*.jpg'}: matches no file",
+        ]  # fmt: skip
+        assert sources.found.left_out == {"files of other kinds": 1}
+
+    def test_shards_have_each_once(self, folder: Path) -> None:
+        shards = [list(Sources((str(folder),), shard=JobShard(i, 3)).inputs()) for i in range(3)]
+        names = [each.name for shard in shards for each in shard]
+        assert sorted(names) == sorted(found(folder))
+        targets = {each.name: each.target.as_posix() for shard in shards for each in shard}
+        assert targets == found(folder)
+
+    def test_it_is_counted_without_a_second_word_about_what_failed(self, folder: Path) -> None:
+        sources = Sources((str(folder), str(folder / "none.jpg")))
+        list(sources.inputs())
+        assert sum(1 for _ in sources.count()) == 4
+        assert len(sources.found.failures) == 1
+
+    @pytest.mark.parametrize(
+        ("names", "named"), [(("a.jpg", "b.png"), True), (("a.jpg", "."), False), (("*.jpg",), False),
+                             (("s3://b/a.jpg", "https://a.org/x"), True), (("s3://b/a",), False)],
+    )  # fmt: skip
+    def test_photos_that_are_named(self, names: tuple[str, ...], named: bool) -> None:
+        assert Sources(names).named == named
+
+
+class TestLists:
+    def test_text_csv_and_parquet(self, folder: Path, tmp_path: Path) -> None:
+        names = [f"in/day {i % 2}/{i}.png" for i in range(4)]
+        expected = {str(tmp_path / name): name.removesuffix(".png") for name in names}
+        (tmp_path / "a.txt").write_text("\ufeff" + "\n".join([*names, "", f"  {names[0]}  "]) + "\n")
+        assert found(tmp_path / "a.txt") == expected
+        (tmp_path / "a.csv").write_text("id,photo\n" + "".join(f'{i},"{name}"\n' for i, name in enumerate(names)))
+        (tmp_path / "a.tsv").write_text("x\ty\n" + "".join(f"{name}\t{i}\n" for i, name in enumerate(names)))
+        assert found(tmp_path / "a.csv") == found(tmp_path / "a.tsv", column="x") == expected
+        pyarrow = pytest.importorskip("pyarrow")
+        table = pyarrow.table({"n": [1, 2, 3, 4, 5], "image": [*names, None]})
+        pytest.importorskip("pyarrow.parquet").write_table(table, tmp_path / "a.parquet")
+        assert found(tmp_path / "a.parquet") == expected
+        assert run(tmp_path / "a.parquet", out=tmp_path / "out")[1].done == 4
+        assert (tmp_path / "out" / "in" / "day 1" / "3_depth.npy").is_file()
+
+    def test_addresses_and_paths_from_the_root(self, tmp_path: Path) -> None:
+        photo = write_photo(tmp_path / "a.png")
+        (tmp_path / "list.txt").write_text(f"{photo}\ns3://bucket/x/b.jpg\n../c.jpg\n")
+        assert found(tmp_path / "list.txt") == {
+            str(photo): photo.as_posix().removeprefix("/").removesuffix(".png"),
+            "s3://bucket/x/b.jpg": "bucket/x/b",
+            str(tmp_path.parent / "c.jpg"): "c",
+        }
+
+    def test_photos_that_would_share_files_get_names_of_their_own(self, tmp_path: Path) -> None:
+        (tmp_path / "list.txt").write_text("x/a.jpg\nx/a.png\n../x/a.jpg\n")
+        assert list(found(tmp_path / "list.txt").values()) == ["x/a.jpg", "x/a.png", "x/a.jpg-2"]
+
+    @pytest.mark.parametrize(
+        ("text", "column", "message"),
+        [("a,b\n1,2\n", None, "has the columns a, b: say which"), ("", None, "is empty"),
+         ("image\n1\n", "imgae", "did you mean image")],
+    )  # fmt: skip
+    def test_a_table_without_a_column_of_photos(
+        self, tmp_path: Path, text: str, column: str | None, message: str
+    ) -> None:
+        (tmp_path / "a.csv").write_text(text)
+        with pytest.raises(InputError, match=message):
+            found(tmp_path / "a.csv", column=column)
+
+    def test_a_list_that_is_no_text_is_told(self, tmp_path: Path) -> None:
+        (tmp_path / "a.txt").write_bytes(b"\xff\xfe\x00")
+        sources = Sources((str(tmp_path / "a.txt"),))
+        assert list(sources.inputs()) == []
+        assert "cannot be read to its end" in sources.found.failures[0]
+
+
+class TestArchives:
+    OTHERS = {"notes.txt": b"1", ".hidden.png": b"1", "__MACOSX/a.png": b"1"}  # noqa: RUF012
+
+    def test_members_are_predicted_as_files_are(self, folder: Path, tmp_path: Path) -> None:
+        run(folder, out=tmp_path / "expected")
+        files = members(folder) | self.OTHERS
+        archives = [
+            write_zip(tmp_path / "a.zip", files),
+            write_tar(tmp_path / "b.tar", files),
+            write_tar(tmp_path / "c.tar.gz", files, "w:gz"),
+        ]
+        for archive in archives:
+            sources = Sources((str(archive),))
+            assert {each.place.as_posix() for each in sources.inputs()} == members(folder).keys()
+            assert sources.found.n_ignored == 3
+            out = tmp_path / archive.stem
+            assert run(archive, out=out, workers=2)[1].done == 4
+            assert run(archive, out=out)[1].before == 4
+            for array in (tmp_path / "expected").rglob("*.npy"):
+                assert (out / array.relative_to(tmp_path / "expected")).read_bytes() == array.read_bytes()
+        assert set(found(*archives[:2]).values()) == {
+            f"{stem}/day {i % 2}/{i}" for stem in ("a", "b") for i in range(4)
+        }
+
+    def test_names_lead_nowhere_else(self, tmp_path: Path) -> None:
+        files = {"../../a.png": b"1", "/etc/b.png": b"1", "c/../../d.png": b"1"}
+        for archive in (write_zip(tmp_path / "a.zip", files), write_tar(tmp_path / "a.tar", files)):
+            assert set(found(archive).values()) == {"a", "etc/b", "d"}
+
+    def test_a_changed_member_is_done_again(self, folder: Path, tmp_path: Path) -> None:
+        archive, files = tmp_path / "a.zip", members(folder)
+        write_zip(archive, files)
+        run(archive, out=tmp_path / "out")
+        listing.open_zip.cache_clear()
+        write_zip(archive, files | {"day 0/0.png": files["day 0/2.png"]})
+        assert run(archive, out=tmp_path / "out")[1].done == 1
+
+    @pytest.mark.parametrize(("name", "left", "n_whole"), [("a.zip", 500, 0), ("a.tar", 1600, 1), ("a.tar.gz", 400, 1)])
+    def test_what_is_cut_off_is_told_and_what_was_before_is_done(
+        self, folder: Path, tmp_path: Path, name: str, left: int, n_whole: int
+    ) -> None:
+        if name == "a.zip":
+            archive = write_zip(tmp_path / name, members(folder))
+        else:
+            archive = write_tar(tmp_path / name, members(folder), "w" if name == "a.tar" else "w:gz")
+        archive.write_bytes(archive.read_bytes()[:left])
+        sources = Sources((str(archive),))
+        assert n_whole <= len(list(sources.inputs())) < 4
+        assert "cannot be read to its end" in sources.found.failures[0]
+        assert run(archive, out=tmp_path / "out")[1].done == n_whole
+
+
+class TestStores:
+    @pytest.fixture
+    def store(self, folder: Path) -> str:
+        store = fsspec.filesystem("memory")
+        store.store.clear()
+        for name, content in members(folder).items():
+            store.pipe(f"/bucket/in/{name}", content)
+        store.pipe("/bucket/in/notes.txt", b"1")
+        return "memory://bucket/in"
+
+    def test_prefixes_globs_and_photos(self, store: str, folder: Path, tmp_path: Path) -> None:
+        expected = {f"{store}/{name}": name.removesuffix(".png") for name in members(folder)}
+        assert found(store) == expected
+        assert found(f"{store}/day 0/*.png") == {f"{store}/day 0/{i}.png": str(i) for i in (0, 2)}
+        assert found(f"{store}/**/3.png") == {f"{store}/day 1/3.png": "day 1/3"}
+        assert found(f"{store}/day 1/3.png") == {f"{store}/day 1/3.png": "3"}
+        assert run(store, out=tmp_path / "out")[1].done == 4
+        assert run(store, out=tmp_path / "out")[1].before == 4
+        fsspec.filesystem("memory").pipe("/bucket/in/day 0/0.png", members(folder)["day 0/2.png"])
+        assert run(store, out=tmp_path / "out")[1].done == 1  # its time and its size are others
+
+    def test_lists_and_archives_in_it(self, store: str, folder: Path, tmp_path: Path) -> None:
+        system = fsspec.filesystem("memory")
+        system.pipe("/bucket/in/list.txt", b"day 0/0.png\nday 1/1.png\n")
+        assert found(f"{store}/list.txt") == {f"{store}/day {i}/{i}.png": f"day {i}/{i}" for i in (0, 1)}
+        system.pipe("/bucket/a.zip", write_zip(tmp_path / "a.zip", members(folder)).read_bytes())
+        assert run("memory://bucket/a.zip", out=tmp_path / "out")[1].done == 4
+
+    def test_what_is_written_is_no_input(self, store: str) -> None:
+        assert found("memory://bucket", out="memory://bucket/in") == {}
+        with pytest.raises(InputError, match="depth maps would be taken for photos"):
+            Sources((store,), out="memory://bucket")
+
+    def test_nothing_there(self, store: str) -> None:
+        sources = Sources(("memory://bucket/none", f"{store}/*.jpg"))
+        assert list(sources.inputs()) == []
+        assert len(sources.found.failures) == 2
