@@ -178,6 +178,7 @@ def phone(browser: "Browser", service_url: str) -> Iterator[Visit]:
     context = browser.new_context(
         viewport={"width": 360, "height": 740}, device_scale_factor=2, is_mobile=True, has_touch=True
     )
+    context.add_init_script(REFUSES_AR)
     yield from visited(context.new_page(), service_url)
     context.close()
 
@@ -185,6 +186,15 @@ def phone(browser: "Browser", service_url: str) -> Iterator[Visit]:
 @pytest.fixture
 def service(desktop: "Page", service_url: str) -> Service:
     return Service(service_url, desktop.request)
+
+
+REFUSES_AR = """
+  window.asked = [];
+  Object.defineProperty(navigator, "xr", {value: {
+    isSessionSupported: async (mode) => mode === "immersive-ar",
+    requestSession: async (mode) => { window.asked.push(mode); throw new Error("there is no room around"); },
+  }});
+"""
 
 
 def visited(page: "Page", url: str) -> Iterator[Visit]:
@@ -300,9 +310,12 @@ class TestPage:
     def test_pins_tell_distances_and_calibrate(self, visit: Visit, service: Service) -> None:
         visit.upload()
         arrays = service.arrays()
-        one, other = clear(arrays["valid"]), (70, 30)
-        if not arrays["valid"][30, 70]:
-            other = clear(arrays["valid"][:, :60])
+        one = clear(arrays["valid"])
+        inner = np.where(arrays["valid"], np.abs(np.log(arrays["depth"] / arrays["depth"][one[1], one[0]])), 0)[
+            9:-9, 9:-9
+        ]
+        row, column = np.unravel_index(inner.argmax(), inner.shape)  # much nearer or farther
+        other = (int(column) + 9, int(row) + 9)
         for place in (one, other):
             visit.page.mouse.click(*window_place(visit, *place))
         measured = service.post("v1/measure", points=json.dumps([one, other]), pairs=json.dumps([[one, other]])).json()
@@ -436,7 +449,13 @@ class TestPage:
                }).map((part) => part.id)"""
         )
         assert hidden == []
-        assert phone.page.locator("label:has(#take)").count() == 1
+        phone.page.tap("#show-space")
+        phone.page.tap("#augmented")  # only where the browser says that it can
+        phone.page.wait_for_selector("#problem:not([hidden])")
+        assert "there is no room around" in phone.text("#problem")
+        assert phone.page.evaluate("window.asked") == ["immersive-ar"]
+        phone.page.tap("#another")
+        assert phone.page.is_visible("label:has(#take)")
 
     def test_works_by_keyboard_and_for_a_screen_reader(self, visit: Visit, service: Service) -> None:
         visit.page.focus('[data-example="examples/coffee.jpg"]')

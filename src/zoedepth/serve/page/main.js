@@ -3,7 +3,7 @@
 import {Problem, Service} from "./api.js";
 import {CameraPanel} from "./camera-panel.js";
 import {colorRange} from "./colors.js";
-import {metres} from "./depth.js";
+import {Camera, metres} from "./depth.js";
 import {byId, element, press, save} from "./dom.js";
 import {drawBar, drawRuler, markBar, showReading} from "./legend.js";
 import {Pins} from "./pins.js";
@@ -35,6 +35,7 @@ const state = {
   calibration: null, // the service's answer
   facts: null, depth: null, // of the photo, as the service answered last
   range: [0, 1], // metres of the first and the last colour
+  middle: 1, // median of the depth, metres
   references: {}, // focal length in pixels, by the name of the head, at which its metres need no correction
   surface: null, // the GLB of `depth`, once it was asked for
   space: null, // null, "cloud" or "surface": what is shown in place of the picture
@@ -153,10 +154,10 @@ async function ask() {
   const options = {signal: mine.signal, progress: showProgress};
   showProgress("send", null);
   try {
-    if (state.calibrating) {
-      state.calibration = await service.calibrate(question(), {...pins.measured, alongRay: byId("along-ray").checked}, options);
-    } else {
-      state.calibration = null;
+    const {readings, distances} = pins.measured;
+    if (!state.calibrating) state.calibration = null;
+    else if (readings.length || distances.length) { // where all were taken away, the calibration stays as it was
+      state.calibration = await service.calibrate(question(), {readings, distances, alongRay: byId("along-ray").checked}, options);
     }
     const answer = await service.maps(question(), options);
     if (mine.signal.aborted) return;
@@ -167,18 +168,28 @@ async function ask() {
   } catch (error) {
     if (error.name === "AbortError") return;
     showProblem(error);
-    if (state.calibrating) { // what was shown holds still
-      state.calibrating = false;
-      if (state.facts) state.calibration = state.facts.calibration ? state.calibration : null;
-    }
-    if (!state.depth) byId("place").textContent = "There is no depth of this photo.";
-    showCalibration();
+    showLast();
   } finally {
     if (running === mine) {
       running = null;
       atRest();
     }
   }
+}
+
+/** Show what was answered last, after a question that was refused. */
+function showLast() {
+  const {depth, facts} = state;
+  state.calibrating = Boolean(facts?.calibration);
+  if (!state.calibrating) state.calibration = null;
+  showCalibration();
+  if (!depth) {
+    byId("place").textContent = "There is no depth of this photo.";
+    return;
+  }
+  depth.gain = 1;
+  depth.camera = new Camera(facts.camera);
+  showDepth();
 }
 
 /** Say that the page waits for something, which may not yet be worth a word. */
@@ -262,6 +273,7 @@ function showDepth() {
   const contrary = fixed.near >= fixed.far;
   byId("far").setCustomValidity(contrary ? "must be beyond the near one" : "");
   state.range = colorRange(depth, contrary ? {} : fixed);
+  [state.middle] = depth.quantiles([0.5]);
   const colormap = byId("colormap").value, overlay = byId("confidence").checked && depth.std !== null;
   byId("unsure-chip").hidden = byId("confidence-hint").hidden = !overlay;
   viewer.paint({colormap, range: state.range, confidence: overlay ? depth.confidences(UNSURE_SHARES) : null});
@@ -277,7 +289,7 @@ function showPoint(pixel) {
   showReading({value: byId("value"), place: byId("place"), cursor: byId("cursor")}, viewer, reading);
   byId("cursor").hidden ||= pins.has(pixel ?? {}); // the pin says the same
   markBar(byId("bar-mark"), usable, state.range);
-  if (depth) drawRuler(byId("ruler"), viewer, depth, usable ?? depth.quantiles([0.5])[0]);
+  if (depth) drawRuler(byId("ruler"), viewer, depth, usable ?? state.middle);
   else byId("ruler").hidden = true;
 }
 
@@ -465,7 +477,11 @@ function listen() {
 /** Ask what there is to choose from. */
 async function start() {
   const {models, default: chosen, formats = []} = await service.models();
-  byId("model").replaceChildren(...models.map(({name}) => new Option(name, name, false, name === chosen)));
+  byId("model").replaceChildren(...models.map(({name, what, licence}) => {
+    const option = new Option(name, name, false, name === chosen);
+    option.title = [what, licence && `licence: ${licence}`].filter(Boolean).join("; ");
+    return option;
+  }));
   if (!byId("files").children.length) listFiles(formats);
   if (state.photo) await ask();
 }
