@@ -16,8 +16,7 @@ import uvicorn
 from PIL import Image
 
 from zoedepth.serve.app import Service, create_app
-from zoedepth.serve.protocol import PatientProtocol
-from zoedepth.serve.server import bind
+from zoedepth.serve.server import bind, make_config
 from zoedepth.serve.settings import Settings
 
 PREFIX = "urn:zoedepth:problem:"
@@ -77,10 +76,7 @@ def running(settings: Settings) -> Iterator[Client]:
     """Run a service until the block ends."""
     service = create_app(settings)
     listener = bind("127.0.0.1", 0)
-    config = uvicorn.Config(
-        service, http=PatientProtocol, ws="none", lifespan="on", log_level="critical", timeout_graceful_shutdown=2
-    )
-    server = uvicorn.Server(config)
+    server = uvicorn.Server(make_config(service, settings))
     thread = threading.Thread(target=server.run, args=([listener],))
     thread.start()
     while not server.started:

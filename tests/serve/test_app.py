@@ -183,9 +183,7 @@ class TestCalibrate:
         y, x = np.argwhere(result.valid)[5].tolist()
         readings = json.dumps([[x, y, 2.5]]).encode()
         made = client.form("/v1/calibrate?along_ray=true", {"photo": photo(), "readings": readings})
-        found = calibrate(
-            result.depth, [(x, y, 2.5)], camera=result.camera, valid=result.valid, along_ray=True
-        )
+        found = calibrate(result.depth, [(x, y, 2.5)], camera=result.camera, valid=result.valid, along_ray=True)
         assert made.json["calibration"]["scale"] == found.scale
         (tmp_path / "c.json").write_bytes(made.body)
         again = client.form("/v1/depth?format=json", {"photo": photo(), "calibration": made.body})

@@ -1,6 +1,7 @@
 """Answers: the files of `zoedepth predict`, the same to the last byte, and what the page needs."""
 
 import json
+import math
 import os
 import struct
 import tempfile
@@ -118,7 +119,7 @@ def about(result: DepthMap, photo: Decoded, *, model: str, facts: Mapping[str, o
         "camera_note": result.camera_note,
         "focal_correction": result.focal_correction,
         "calibration": None if calibration is None else replace(calibration, readings=()).to_json(),
-        "depth_range": result.depth_range,
+        "depth_range": tuple(metres if math.isfinite(metres) else None for metres in result.depth_range),
         "notes": list(photo.warnings),
     }
     told = sidecars.describe(result.maps, origin=origin, facts=facts, files={})

@@ -33,7 +33,8 @@ _STARTS = {
     "BMP": (b"BM",),
     "GIF": (b"GIF87a", b"GIF89a"),
 }
-_AVIF_BRANDS = (b"avif", b"avis")
+_AVIF_BRANDS = {b"avif", b"avis"}
+_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
 
 _heard = threading.local()
 
@@ -155,7 +156,8 @@ def _format(start: bytes) -> str | None:
         return "WEBP"
     if start[4:8] == b"ftyp":
         length = min(len(start), int.from_bytes(start[:4], "big"))
-        if any(start[place : place + 4] in _AVIF_BRANDS for place in range(8, length, 4)):
+        brands = {start[place : place + 4] for place in range(8, length, 4)}
+        if brands & _AVIF_BRANDS:
             return "AVIF"
-        return "HEIF" if HEIC_IS_READ else None
+        return "HEIF" if HEIC_IS_READ and brands & _HEIC_BRANDS else None
     return None

@@ -179,7 +179,9 @@ class About(BaseModel):
     camera_note: str = Field(description="The photo's notes on its camera, or why they tell none.")
     focal_correction: float = Field(description="Factor that depth and std were multiplied by because of the camera.")
     calibration: dict[str, Any] | None = Field(description="The calibration that the depth went through.")
-    depth_range: tuple[float, float] = Field(description="Metres: nearest and farthest depth that the model gives.")
+    depth_range: tuple[float, float | None] = Field(
+        description="Metres: nearest and farthest depth that the model gives; null: there is no farthest."
+    )
     unit: Literal["metre"]
     depth: Spread
     median_confidence: float | None

@@ -35,18 +35,20 @@ def bind(host: str, port: int) -> socket.socket:
     Raises:
         InputError: the address is not one of this machine, or taken, or needs rights.
     """
+    if not 0 <= port < 1 << 16:
+        raise InputError(f"a port is a number from 0 to 65535, got {port}: choose another one (--port)")
     try:
         (family, _, _, _, address), *_ = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )
         listener = socket.socket(family, socket.SOCK_STREAM)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         raise InputError(f"{host}:{port} is no address of this machine ({error}): choose --host and --port") from error
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
         listener.listen(_BACKLOG)
-    except (OSError, OverflowError) as error:
+    except OSError as error:
         listener.close()
         raise InputError(f"cannot listen at {host}:{port} ({error}): choose another --port, or --host") from error
     listener.set_inheritable(True)
@@ -64,7 +66,7 @@ def run(service: Service, settings: Settings, listener: socket.socket, *, access
         listener: a socket that listens, see ``bind``.
         access_log: True logs every request.
     """
-    uvicorn.Server(_config(service, settings, 1, access_log=access_log)).run([listener])
+    uvicorn.Server(make_config(service, settings, access_log=access_log)).run([listener])
 
 
 def run_several(settings: Settings, listener: socket.socket, *, workers: int, access_log: bool = False) -> None:
@@ -86,7 +88,7 @@ def run_several(settings: Settings, listener: socket.socket, *, workers: int, ac
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with _numbers_together():
         application = partial(_application, settings, workers)
-        processes = _Processes(_config(application, settings, workers, access_log=access_log), [listener])
+        processes = _Processes(make_config(application, settings, workers=workers, access_log=access_log), [listener])
         processes.run()
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -103,7 +105,15 @@ class _Processes(Multiprocess):
         super().handle_int()
 
 
-def _config(app: Any, settings: Settings, workers: int, *, access_log: bool) -> uvicorn.Config:
+def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: bool = False) -> uvicorn.Config:
+    """Return how uvicorn is to serve.
+
+    Args:
+        app: the application; with several processes, a function that makes it.
+        settings: the settings of the service.
+        workers: the number of processes.
+        access_log: True logs every request.
+    """
     return uvicorn.Config(
         app,
         factory=workers > 1,

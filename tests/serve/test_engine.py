@@ -1,0 +1,275 @@
+import asyncio
+import io
+import threading
+from collections.abc import Awaitable, Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import pytest
+
+from tests.serve.running import photo
+from zoedepth.config import INDOOR, BaselineConfig
+from zoedepth.depth_map import DepthMap
+from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.geometry.lens import Lens
+from zoedepth.predict import Predictor
+from zoedepth.serve.engine import Engine, Wanted, as_problem
+from zoedepth.serve.metrics import Metrics
+from zoedepth.serve.photos import Decoded
+from zoedepth.serve.problems import ClientGone, Problem
+from zoedepth.serve.settings import Limits, Settings
+
+Result = TypeVar("Result")
+
+
+def play(settings: Settings, game: Callable[[Engine], Awaitable[Result]]) -> Result:
+    """Run a test with an engine, in an event loop of its own."""
+
+    async def run() -> Result:
+        engine = Engine(settings, Metrics())
+        engine.start()
+        try:
+            return await game(engine)
+        finally:
+            engine.stop()
+
+    return asyncio.run(run())
+
+
+def gone() -> asyncio.Future[None]:
+    return asyncio.get_running_loop().create_future()
+
+
+def whole(result: DepthMap, photo: Decoded) -> DepthMap:
+    return result
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if condition():
+            return
+        await asyncio.sleep(0.005)
+    raise AssertionError("it did not come about")
+
+
+@pytest.mark.parametrize("batch_size", [1, 4])
+def test_photos_keep_their_own_heads_cameras_and_depth_together_or_alone(
+    batch_size: int, model_file: str, predictor: Predictor
+) -> None:
+    wishes = [
+        (photo(64, 48, seed=1), Wanted()),
+        (photo(64, 48, seed=2), Wanted(domain="outdoor")),
+        (photo(64, 48, seed=3), Wanted(domain="indoor", camera=Lens(fov_x=40))),
+        (photo(64, 48, seed=4), Wanted(camera="none")),
+        (photo(48, 64, seed=5), Wanted()),
+        (photo(128, 96, seed=6), Wanted(domain="outdoor")),
+        (photo(64, 48, seed=7), Wanted(flip=False)),
+        (photo(64, 48, seed=8), Wanted()),
+    ]
+
+    async def game(engine: Engine) -> list[DepthMap]:
+        asked = [engine.compute(content, wanted, whole, gone=gone()) for content, wanted in wishes]
+        return [result for result, _ in await asyncio.gather(*asked)]
+
+    results = play(Settings((model_file,), threads=2, batch_size=batch_size), game)
+    unflipped = Predictor(predictor.model, flip_average=False)
+    for result, (content, wanted) in zip(results, wishes, strict=True):
+        used = predictor if wanted.flip else unflipped
+        alone = used(io.BytesIO(content), domain=wanted.domain, camera=wanted.camera)
+        # On the CPU each photo is computed by itself, whatever comes with it.
+        assert result.depth.tobytes() == alone.depth.tobytes()
+        assert (result.domain, result.camera, result.camera_note) == (alone.domain, alone.camera, alone.camera_note)
+
+
+def test_photos_of_one_size_go_through_the_model_together(
+    model_file: str, monkeypatch: pytest.MonkeyPatch, predictor: Predictor
+) -> None:
+    sizes: list[int] = []
+    batch = Predictor.batch
+
+    def counted(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        sizes.append(len(images))
+        return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Predictor, "batch", counted)
+    monkeypatch.setattr(Predictor, "_one_by_one", False)  # as on an accelerator
+
+    async def game(engine: Engine) -> list[DepthMap]:
+        contents = [photo(64, 48, seed=seed) for seed in range(4)]
+        asked = [engine.compute(content, Wanted(), whole, gone=gone()) for content in contents]
+        return [result for result, _ in await asyncio.gather(*asked)]
+
+    results = play(Settings((model_file,), batch_size=4, batch_wait=5), game)
+    assert sizes == [4]
+    for seed, result in enumerate(results):
+        alone = predictor(io.BytesIO(photo(64, 48, seed=seed)))
+        assert abs(result.depth - alone.depth).max() < 1e-4  # sums in another order
+
+
+def test_who_hangs_up_is_dropped_before_the_model_runs(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran, go_on = [], threading.Event()
+    batch = Predictor.batch
+
+    def held(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        ran.append(len(images))
+        assert go_on.wait(20)
+        return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Predictor, "batch", held)
+
+    async def game(engine: Engine) -> None:
+        first = asyncio.ensure_future(engine.compute(photo(seed=1), Wanted(), whole, gone=gone()))
+        await until(lambda: ran == [1])
+        left = gone()
+        second = asyncio.ensure_future(engine.compute(photo(seed=2), Wanted(), whole, gone=left))
+        await until(lambda: engine.gate.n_waiting == 1)
+        left.set_result(None)
+        with pytest.raises(ClientGone):
+            await second
+        go_on.set()
+        await first
+        assert ran == [1]
+        assert not engine.is_computing
+
+    play(Settings((model_file,), threads=1), game)
+
+
+def test_a_full_queue_a_long_wait_and_a_long_work_are_told(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    go_on = threading.Event()
+    batch = Predictor.batch
+
+    def held(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        assert go_on.wait(20)
+        return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Predictor, "batch", held)
+    limits = Limits(queue=1, max_wait=0.3, max_seconds=0.6)
+
+    async def game(engine: Engine) -> list[str]:
+        asked = [asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone())) for _ in range(3)]
+        found = await asyncio.gather(*asked, return_exceptions=True)
+        kinds = [error.kind for error in found if isinstance(error, Problem)]
+        assert engine.is_computing  # the thread goes on, and keeps its place until it has ended
+        go_on.set()
+        await until(lambda: not engine.is_computing)
+        result, _ = await engine.compute(photo(), Wanted(), whole, gone=gone())
+        assert result.size == (48, 64)
+        return kinds
+
+    kinds = play(Settings((model_file,), threads=1, limits=limits), game)
+    assert sorted(kinds) == ["busy", "took-too-long", "waited-too-long"]
+
+
+def test_when_it_closes_who_waits_is_refused_and_who_is_computed_gets_an_answer(
+    model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, ran = threading.Event(), []
+    batch = Predictor.batch
+
+    def held(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        ran.append(1)
+        assert go_on.wait(20)
+        return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Predictor, "batch", held)
+
+    async def game(engine: Engine) -> None:
+        computed = asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone()))
+        await until(lambda: ran == [1])
+        waiting = asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone()))
+        await until(lambda: engine.gate.n_waiting == 1)
+        engine.close()
+        for late in (waiting, engine.compute(photo(), Wanted(), whole, gone=gone())):
+            with pytest.raises(Problem) as caught:
+                await late
+            assert caught.value.kind == "shutting-down"
+        go_on.set()
+        result, _ = await computed
+        assert result.size == (48, 64)
+
+    play(Settings((model_file,), threads=1), game)
+
+
+def test_what_takes_longer_than_the_grace_is_refused_shortly_before_its_end(
+    model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on, ran = threading.Event(), []
+
+    def held(*_: object, **__: object) -> list[DepthMap]:
+        ran.append(1)
+        assert go_on.wait(20)
+        return []
+
+    monkeypatch.setattr(Predictor, "batch", held)
+
+    async def game(engine: Engine) -> None:
+        computed = asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone()))
+        await until(lambda: ran == [1])
+        engine.close()
+        with pytest.raises(Problem) as caught:
+            await computed
+        assert caught.value.kind == "shutting-down"
+        assert engine.is_computing
+        go_on.set()
+        await until(lambda: not engine.is_computing)
+
+    play(Settings((model_file,), threads=1, limits=Limits(grace=1.05)), game)
+
+
+def test_an_error_of_one_photo_is_its_own(model_file: str) -> None:
+    async def game(engine: Engine) -> list[object]:
+        contents = [photo(), photo()[:900], b"x"]
+        asked = [engine.compute(content, Wanted(), whole, gone=gone()) for content in contents]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    good, short, none = play(Settings((model_file,), batch_size=4), game)
+    assert isinstance(good, tuple)
+    assert isinstance(short, Problem)
+    assert short.kind == "unreadable-photo"
+    assert isinstance(none, Problem)
+    assert none.kind == "unsupported-format"
+
+
+def test_a_photo_that_is_too_narrow_is_refused_by_its_header(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def game(engine: Engine) -> None:
+        with pytest.raises(Problem, match="too long and narrow") as caught:
+            await engine.compute(photo(), Wanted(), whole, gone=gone())
+        assert caught.value.kind == "invalid-request"
+
+    monkeypatch.setattr("zoedepth.predict.MAX_NETWORK_AREA", 0.1)
+    play(Settings((model_file,)), game)
+
+
+def test_models_must_give_metres_and_have_names_of_their_own(model_file: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="two models"):
+        Engine(Settings((model_file, model_file)), Metrics()).start()
+    with pytest.raises(InputError, match="missing.pt"):
+        Engine(Settings((str(tmp_path / "missing.pt"),)), Metrics()).start()
+
+
+def test_only_what_a_client_can_mend_or_wait_for_is_told() -> None:
+    for error, kind in (
+        (InputError("a fault"), "invalid-request"),
+        (MissingExtraError("exr", "writing EXR"), "not-acceptable"),
+        (MemoryError(), "no-room"),
+        (RuntimeError("CUDA out of memory. Tried"), "no-room"),
+        (OSError(28, "No space left on device"), "no-room"),
+    ):
+        problem = as_problem(error)
+        assert problem is not None
+        assert problem.kind == kind
+    assert as_problem(RuntimeError("a bug")) is None
+
+
+def test_votes_of_a_batch_are_not_mixed(model_file: str) -> None:
+    async def game(engine: Engine) -> bool:
+        model = engine.models["tiny"]
+        before = model.votes_together
+        config = model.network.config
+        assert not isinstance(config, BaselineConfig)
+        model.network.config = replace(config, router=replace(config.router, vote="batch"))
+        return model.votes_together and not before
+
+    assert play(Settings((model_file,)), game)
+    assert INDOOR.name == "indoor"

@@ -1,0 +1,39 @@
+import socket
+
+import pytest
+
+from zoedepth.errors import InputError
+from zoedepth.serve.protocol import PatientProtocol
+from zoedepth.serve.server import bind, make_config
+from zoedepth.serve.settings import Limits, Settings
+
+
+def test_a_socket_listens_at_the_address_alone() -> None:
+    with bind("127.0.0.1", 0) as listener:
+        assert listener.getsockname()[0] == "127.0.0.1"
+        with socket.create_connection(listener.getsockname(), timeout=5):
+            pass
+        with pytest.raises(InputError, match="--port"):
+            bind("127.0.0.1", listener.getsockname()[1])
+
+
+@pytest.mark.parametrize(("host", "port"), [("999.0.0.1", 0), ("192.0.2.1", 0)])
+def test_an_address_that_is_not_here_is_refused(host: str, port: int) -> None:
+    with pytest.raises(InputError, match="--host"):
+        bind(host, port)
+
+
+@pytest.mark.parametrize("port", [-1, 65_536, 70_000])
+def test_a_port_that_is_none_is_refused(port: int) -> None:
+    with pytest.raises(InputError, match="--port"):
+        bind("127.0.0.1", port)
+
+
+def test_the_server_trusts_no_header_and_says_nothing_about_itself() -> None:
+    config = make_config(None, Settings(limits=Limits(grace=7)))
+    assert config.http is PatientProtocol
+    assert not config.proxy_headers
+    assert not config.server_header
+    assert config.timeout_graceful_shutdown == 7
+    assert not config.access_log
+    assert make_config(None, Settings(), access_log=True).access_log
