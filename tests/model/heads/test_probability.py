@@ -176,6 +176,18 @@ def test_distribution_by_definition(n_weights: int, bias: bool, size: tuple[int,
                 torch.testing.assert_close(distribution.mean_and_std(), (mean, std))
 
 
+def test_a_distribution_of_one_bin_has_a_gradient_all_the_same():
+    """Its deviation is 0, whose root has none: a training that asks for the deviation ended with nan."""
+    maps = torch.tensor([1000.0, 0.0, -1000.0]).view(1, 3, 1, 1).requires_grad_()
+    centers = torch.tensor([1.0, 2.0, 3.0]).view(1, 3, 1, 1).requires_grad_()
+    mean, std = BinDistribution(maps, None, None, centers).mean_and_std()
+    assert (mean.item(), std.item()) == (1.0, pytest.approx(1e-6))
+    (mean + std).sum().backward()
+    for x in (maps, centers):
+        assert x.grad is not None
+        assert x.grad.isfinite().all()
+
+
 @pytest.mark.parametrize(
     ("gradients", "band", "n_bands"), [(True, 80, 1), (False, 2**19, 1), (False, 80, 3), (False, 1, 6)]
 )

@@ -113,14 +113,17 @@ class BinDistribution(NamedTuple):
         return torch.cat(bands, dim=1)[:, None]
 
     def mean_and_std(self) -> tuple[Float[Tensor, "batch 1 height width"], Float[Tensor, "batch 1 height width"]]:
-        """Compute the expected depth and the standard deviation around it, metres."""
+        """Compute the expected depth and the standard deviation around it, metres: at least a micrometre.
+
+        The root of 0 has no gradient.
+        """
         means, variances = [], []
         for rows in self._bands():
             probability, centers = self._probability(rows), self._centers(rows)
             mean = expected_depth(probability, centers)
             means.append(mean)
             variances.append(expected_depth(probability, (centers - mean[..., None]).square()))
-        return torch.cat(means, dim=1)[:, None], torch.cat(variances, dim=1)[:, None].sqrt()
+        return torch.cat(means, dim=1)[:, None], torch.cat(variances, dim=1)[:, None].clamp(min=1e-12).sqrt()
 
     def mixed(self, weight: Float[Tensor, " batch"]) -> "BinDistribution":
         """Make this one part of a mixture: after joining it with the others, its probabilities sum to the weight."""
