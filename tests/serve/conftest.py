@@ -1,12 +1,11 @@
 """Services with a tiny model, one of which all tests share that do not change its limits."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import torch
-
 from tests.serve.running import Client, running
+
 from zoedepth.config import ModelConfig
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
-
 from tests.serve.running import read_maps
+
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.camera import Camera
 from zoedepth.outputs import OUTPUTS, Options
@@ -44,9 +44,9 @@ def test_no_file_is_left_behind() -> None:
     folder = Path(memory_folder() or "/tmp")
     before = {path for path in folder.iterdir() if path.name.startswith("zoedepth-")}
     encode(depth_map(3, 5), PHOTO, FORMATS["depth"], Options(), model="m")
+    broken = depth_map(3, 5)
+    object.__setattr__(broken, "maps", _Full())
     with pytest.raises(OSError, match="full"):
-        broken = depth_map(3, 5)
-        object.__setattr__(broken, "maps", _Full())
         encode(broken, PHOTO, FORMATS["depth"], Options(), model="m")
     assert {path for path in folder.iterdir() if path.name.startswith("zoedepth-")} <= before
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-
 from tests.serve.running import Client, photo, read_maps, running
+
 from zoedepth.batch import Request, find_photos, predict_photo
 from zoedepth.calibration import calibrate, write_calibration
 from zoedepth.outputs import Options

@@ -1,5 +1,4 @@
 import pytest
-
 from tests.serve.running import Client, form_of, photo
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import pytest
-
 from tests.serve.running import photo
+
 from zoedepth.config import INDOOR, BaselineConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError, MissingExtraError
@@ -244,7 +244,7 @@ def test_a_photo_that_is_too_narrow_is_refused_by_its_header(model_file: str, mo
 def test_models_must_give_metres_and_have_names_of_their_own(model_file: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="two models"):
         Engine(Settings((model_file, model_file)), Metrics()).start()
-    with pytest.raises(InputError, match="missing.pt"):
+    with pytest.raises(InputError, match=r"missing\.pt"):
         Engine(Settings((str(tmp_path / "missing.pt"),)), Metrics()).start()
 
 

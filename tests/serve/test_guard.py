@@ -3,8 +3,8 @@ import socket
 import time
 
 import pytest
-
 from tests.serve.running import Client, form_of, photo, running
+
 from zoedepth.serve.guard import HEADERS, host_is_known
 from zoedepth.serve.settings import Limits, Settings
 

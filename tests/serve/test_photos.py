@@ -4,12 +4,12 @@ import tracemalloc
 
 import pytest
 from PIL import Image
-
 from tests import bombs
 from tests.serve.running import photo
+
 from zoedepth.claims import HEIC_IS_READ
 from zoedepth.geometry.lens import Lens
-from zoedepth.serve.photos import MEDIA_TYPES, check_photo, decode_photo
+from zoedepth.serve.photos import MEDIA_TYPES, Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import Problem
 
 LIMIT = 1_000_000
@@ -18,9 +18,14 @@ LIMIT = 1_000_000
 def refusal(content: bytes) -> Problem:
     """The problem for which a photo is refused, by its header or as it is decoded."""
     with pytest.raises(Problem) as caught:
-        check_photo(content, max_pixels=LIMIT)
-        decode_photo(content, "exif", max_pixels=LIMIT)
+        look_and_decode(content)
     return caught.value
+
+
+def look_and_decode(content: bytes) -> Decoded:
+    """What the service does with a photo."""
+    check_photo(content, max_pixels=LIMIT)
+    return decode_photo(content, "exif", max_pixels=LIMIT)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in MEDIA_TYPES if kind != "HEIF"])
@@ -54,11 +59,12 @@ def test_what_is_no_photo_is_not_supported(content: bytes) -> None:
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
 def test_a_photo_that_is_cut_short_is_told_or_read(kind: str, share: float) -> None:
     content = photo(64, 48, format=kind)
+    kind_of_problem = ""
     try:
-        check_photo(content[: int(share * len(content))], max_pixels=LIMIT)
-        decode_photo(content[: int(share * len(content))], "exif", max_pixels=LIMIT)
+        look_and_decode(content[: int(share * len(content))])
     except Problem as problem:
-        assert problem.kind in ("unreadable-photo", "unsupported-format")
+        kind_of_problem = problem.kind
+    assert kind_of_problem in ("", "unreadable-photo", "unsupported-format")
 
 
 def test_pixels_are_counted_before_they_are_decoded() -> None:

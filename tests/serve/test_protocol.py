@@ -2,10 +2,11 @@ import json
 import re
 import socket
 import threading
+from contextlib import suppress
 
 import pytest
-
 from tests.serve.running import Client, running
+
 from zoedepth.serve.settings import Limits, Settings
 
 
@@ -13,10 +14,8 @@ from zoedepth.serve.settings import Limits, Settings
 def test_a_connection_without_a_head_is_cut_off(start: bytes, model_file: str) -> None:
     with running(Settings((model_file,), limits=Limits(idle=0.1))) as client, client.connect() as connection:
         connection.sendall(start)
-        try:
+        with suppress(ConnectionResetError):
             assert connection.recv(100) == b""
-        except ConnectionResetError:
-            pass
 
 
 @pytest.mark.parametrize(
@@ -46,10 +45,9 @@ def test_a_client_that_does_not_take_its_answer_is_cut_off(model_file: str) -> N
         connection.sendall(page * 40)  # more than the buffers of the system hold
         threading.Event().wait(1.5)
         received = 0
-        with connection, pytest.raises((ConnectionError, StopIteration)):
+        with connection, suppress(ConnectionError):
             while piece := connection.recv(1 << 20):
                 received += len(piece)
-            raise StopIteration
         whole = len(client.ask("/three.min.js").body)
         assert received < 40 * whole
         assert client.ask("/healthz").status == 200

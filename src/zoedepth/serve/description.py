@@ -6,7 +6,7 @@ from typing import Any
 from zoedepth.serve.answers import FORMATS
 from zoedepth.serve.photos import MEDIA_TYPES
 from zoedepth.serve.problems import KINDS, MEDIA_TYPE, PREFIX
-from zoedepth.serve.schemas import About, ProblemAnswer
+from zoedepth.serve.schemas import LISTS, About, ProblemAnswer
 
 INTRODUCTION = """Depth in metres from a single photo.
 
@@ -41,7 +41,8 @@ def body_of(*parts: str, raw: bool = False) -> dict[str, Any]:
         raw: True if the photo may be sent by itself.
     """
     properties = {"photo": _PARTS["photo"]} | {
-        name: {"type": "string", "contentMediaType": "application/json", **_PARTS[name]} for name in parts
+        name: {"type": "string", "contentMediaType": "application/json", **_PARTS[name], **_content(name)}
+        for name in parts
     }
     form = {"type": "object", "required": ["photo"], "properties": properties, "additionalProperties": False}
     encoding = {name: {"contentType": "application/json"} for name in parts} | {
@@ -51,6 +52,11 @@ def body_of(*parts: str, raw: bool = False) -> dict[str, Any]:
     if raw:
         content |= {media_type: {"schema": _FILE} for media_type in (*MEDIA_TYPES.values(), "application/octet-stream")}
     return {"requestBody": {"required": True, "content": content}}
+
+
+def _content(name: str) -> dict[str, Any]:
+    """Return the schema of the JSON in a part that is a list."""
+    return {"contentSchema": LISTS[name][0].json_schema()} if name in LISTS else {}
 
 
 def photo_answers() -> dict[int | str, dict[str, Any]]:

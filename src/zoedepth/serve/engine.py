@@ -299,7 +299,7 @@ class Engine:
         return replace(result, camera_note=photo.camera_note)
 
     def _run(self, batch: list[_Job], predictor: Predictor, domain: str | None, name: str) -> dict[int, DepthMap]:
-        """Predict a batch in this thread; returns the results by their places. Those of clients who left are missing."""
+        """Predict a batch in this thread; returns the results by their places. Clients who left have none."""
         rows = [row for row, job in enumerate(batch) if not job.gone.done()]
         if not rows:
             return {}

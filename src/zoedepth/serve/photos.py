@@ -98,8 +98,8 @@ def check_photo(content: bytes, *, max_pixels: int) -> Header:
     if sphere:
         raise Problem(
             "panorama",
-            "It is a panorama of 360 x 180 degrees, and a model takes it for an ordinary photo. `zoedepth predict` looks "
-            "at it in parts.",
+            "It is a panorama of 360 x 180 degrees, and a model takes it for an ordinary photo. `zoedepth predict` "
+            "looks at it in parts.",
         )
     return Header(kind, (height, width))
 

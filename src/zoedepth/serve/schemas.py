@@ -20,8 +20,8 @@ MAX_POINTS = 1000
 
 _NUMBER = r"-?\d{1,7}(\.\d{1,12})?"
 _MAX_CALIBRATION = 1 << 16  # bytes
-_Degrees = Annotated[float, Field(gt=0, lt=180)]
-_Metres = Annotated[float, Field(gt=0, le=1e6)]
+_Degrees = Annotated[float, Field(ge=0.01, le=179.99)]
+_Metres = Annotated[float, Field(ge=1e-6, le=1e6)]
 _Side = Annotated[float, Field(ge=-1e7, le=1e7)]
 _Pixel = tuple[_Side, _Side]
 _Flag = Literal["true", "false"]
@@ -42,7 +42,7 @@ class PredictionQuery(BaseModel):
     fov_x: _Degrees | None = Field(None, description="Field of view, degrees from the left to the right border.")
     fov_y: _Degrees | None = Field(None, description="Field of view, degrees from the top to the bottom border.")
     fov_diagonal: _Degrees | None = Field(None, description="Field of view, degrees from corner to corner.")
-    focal_px: Annotated[float, Field(gt=0, lt=1e7)] | None = Field(
+    focal_px: Annotated[float, Field(ge=0.01, lt=1e7)] | None = Field(
         None, description="Focal length in pixels of the photo."
     )
     intrinsics: str | None = Field(
@@ -111,13 +111,13 @@ class DepthQuery(CalibratedQuery):
     format: Literal[NAMES] | None = Field(  # pyright: ignore[reportInvalidTypeForm]
         None, description="Format of the answer; without it, that of the header Accept, else png."
     )
-    png_scale: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
+    png_scale: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
         None, description="Levels per metre of a PNG; without it 1000 (millimetres), or 256 beyond 65.535 m."
     )
     vmin: Annotated[float, Field(ge=0, le=1e6)] | None = Field(
         None, description="Metres of the first colour of preview and color."
     )
-    vmax: Annotated[float, Field(gt=0, le=1e6)] | None = Field(
+    vmax: Annotated[float, Field(ge=1e-6, le=1e6)] | None = Field(
         None, description="Metres of the last colour of preview and color."
     )
     colormap: Literal[

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 import uvicorn
+from uvicorn.config import LOGGING_CONFIG
 from uvicorn.supervisors import Multiprocess
 
 from zoedepth.batch import cpu_count
@@ -27,6 +28,8 @@ from zoedepth.weights.load import find
 _BACKLOG = 2048
 _MAX_HEAD = 32_768  # bytes of the head of a request
 _KEEP_ALIVE = 5  # seconds
+# What hostile clients send shall not fill the log.
+_LOGS = LOGGING_CONFIG | {"loggers": LOGGING_CONFIG["loggers"] | {"python_multipart": {"level": "ERROR"}}}
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -126,7 +129,8 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
         proxy_headers=False,
         server_header=False,
         access_log=access_log,
-        log_level="info" if access_log else "warning",
+        log_config=_LOGS,
+        log_level="info" if access_log else "error",
         timeout_keep_alive=_KEEP_ALIVE,
         timeout_graceful_shutdown=round(settings.limits.grace),
         timeout_worker_healthcheck=30,
