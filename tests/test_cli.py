@@ -19,6 +19,7 @@ import zoedepth
 from zoedepth import cli
 from zoedepth.cli import COMMANDS, Command, main
 from zoedepth.commands.data import SUBCOMMANDS
+from zoedepth.commands.jobs import SUBCOMMANDS as JOBS
 from zoedepth.errors import InputError, MissingExtraError, TrainingError
 
 
@@ -76,7 +77,12 @@ def test_a_command_that_looks_like_none_gets_them_all(capsys: pytest.CaptureFixt
     assert all(name in said for name in COMMANDS)
 
 
-HELPS = [[name] for name in COMMANDS] + [["data", name] for name in SUBCOMMANDS] + [["train", "finetune"]]
+HELPS = [
+    *([name] for name in COMMANDS),
+    *(["data", name] for name in SUBCOMMANDS),
+    *(["jobs", name] for name in JOBS),
+    ["train", "finetune"],
+]
 
 
 @pytest.mark.parametrize("columns", [60, 200])
@@ -90,12 +96,12 @@ def test_help_fits_the_terminal_and_has_no_line_beyond_100_columns(
     output = capsys.readouterr().out
     assert f"zoedepth {' '.join(words)}" in output
     widest = max(map(len, output.splitlines()))
-    assert widest <= (100 if columns == 200 or words in (["data"], ["train"]) else columns)
+    assert widest <= (100 if columns == 200 or words in (["data"], ["jobs"], ["train"]) else columns)
     assert "STR" not in output.partition("options")[0], "words that only programmers know, in the usage line"
 
 
 def test_unknown_flag_is_an_error_that_names_it(capsys: pytest.CaptureFixture[str]) -> None:
-    for name in set(COMMANDS) - {"train", "data"}:
+    for name in set(COMMANDS) - {"train", "data", "jobs"}:
         assert main([name, "--no-such-flag", "1"]) == 2
         assert "--no-such-flag" in capsys.readouterr().err
 

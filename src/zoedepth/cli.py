@@ -66,6 +66,12 @@ def _predict() -> Function:
     return predict
 
 
+def _jobs() -> Function:
+    from zoedepth.commands.jobs import jobs
+
+    return jobs
+
+
 def _calibrate() -> Function:
     from zoedepth.commands.calibrate import calibrate
 
@@ -88,6 +94,12 @@ def _train() -> Function:
     from zoedepth.commands.train import train
 
     return train
+
+
+def _reproduce() -> Function:
+    from zoedepth.commands.reproduce import reproduce
+
+    return reproduce
 
 
 def _data() -> Function:
@@ -138,6 +150,7 @@ COMMANDS = {
     "predict": Command(
         "write the depth in metres of photos, folders or globs", _predict, ("out", "model", "save", "domain", "device")
     ),
+    "jobs": Command("say what the shards of a large job have done, and merge them", _jobs, reads_itself=True),
     "calibrate": Command(
         "put the metres of a camera's photos right by a few readings of a tape measure",
         _calibrate,
@@ -158,6 +171,11 @@ COMMANDS = {
         "score models on photos with known depth, as the paper does",
         _evaluate,
         ("data", "model", "predictions", "out", "with_paper", "json_", "device"),
+    ),
+    "reproduce": Command(
+        "train and score every row of a table of the paper",
+        _reproduce,
+        ("table", "data", "out", "small", "seeds", "shard", "show"),
     ),
     "data": Command("list the published data sets, check a download, write shards", _data, reads_itself=True),
     "models": Command("list the models that have a name, and which are on this machine", _models),

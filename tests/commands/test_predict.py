@@ -6,6 +6,8 @@ import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -447,3 +449,97 @@ class TestWhatItSays:
         said = re.search(r"Interrupted: ([12]) of 3 photos written", capsys.readouterr().err)  # one more may have begun
         assert said is not None
         assert len(names(tmp_path / "out")) == 2 * int(said[1])
+
+
+class TestJobs:
+    """Typed again: ``tests/jobs`` tests the work itself."""
+
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        for index in range(3):
+            write_photo(tmp_path / "in" / f"{index}.png", seed=index)
+        return tmp_path / "in"
+
+    def test_a_folder_is_done_once(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        out = tmp_path / "out"
+        (folder / "bad.png").write_bytes(b"no picture")
+        assert predict(folder, "--no-flip", "--json", out=out) == 1
+        first = capsys.readouterr()
+        assert "3 of 4 photos written, 1 failed, 0 other files" in first.err
+        monkeypatch.setattr(Predictor, "__call__", None)  # nothing is predicted any more
+        (folder / "bad.png").unlink()
+        assert predict(folder, "--no-flip", "--json", out=out) == 0
+        second = capsys.readouterr()
+        assert "All 3 photos are done already. To do them again: --overwrite" in second.err
+        assert "0 of 3 photos written, 0 failed, 3 done before" in second.err
+        assert second.out.splitlines() == [line for line in first.out.splitlines() if "bad.png" not in line]
+
+    def test_other_options_are_refused_unless_all_is_done_again(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert predict(folder, "--no-flip", out=tmp_path / "out") == 0
+        assert predict(folder, out=tmp_path / "out") == 2
+        assert "flip was false and is now true" in capsys.readouterr().err
+        assert predict(folder, "--overwrite", out=tmp_path / "out") == 0
+        assert "3 of 3 photos written" in capsys.readouterr().err
+
+    def test_a_photo_that_is_named_is_done_once_for_the_same_options(
+        self, photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        for options, said in (
+            ([], "1 of 1 photos written"),
+            ([], f"{photo} is done already: {tmp_path / 'out' / 'photo_depth.png'}, "),
+            (["--no-flip"], "1 of 1 photos written"),
+            (["--no-flip"], "To do it again: --overwrite"),
+            (["--no-flip", "--overwrite"], "1 of 1 photos written"),
+        ):
+            assert predict(photo, *options, out=tmp_path / "out") == 0
+            assert said in capsys.readouterr().err
+
+    def test_shards(self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        for shard in ("0/2", "1/2"):
+            assert predict(folder, "--no-flip", "--no-preview", "--shard", shard, out=tmp_path / "out") == 0
+        assert names(tmp_path / "out") == {f"{i}{end}" for i in range(3) for end in ("_depth.png", ".json")}
+        assert predict(folder, "--shard", "2/2", out=tmp_path / "out") == 2
+        assert "--shard must be i/n" in capsys.readouterr().err
+
+    def test_more_photos_than_are_listed_first(
+        self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        monkeypatch.setattr("zoedepth.commands.predict._FIRST", 2)
+        (folder / "gone.png").symlink_to("nowhere.png")
+        assert predict(folder, "--no-flip", "--no-preview", out=tmp_path / "out") == 1
+        assert re.search(r"3( of 4)? photos written, 1 failed", capsys.readouterr().err)
+
+    def test_a_list_with_a_column(self, folder: Path, tmp_path: Path) -> None:
+        (tmp_path / "list.csv").write_text("name,where\n" + "".join(f"{i},in/{i}.png\n" for i in range(3)))
+        options = ["--column", "where", "--focal-px", "30", "--no-flip", "--no-preview"]
+        assert predict(tmp_path / "list.csv", *options, out=tmp_path / "out") == 0
+        assert names(tmp_path / "out") == {f"in/{i}{end}" for i in range(3) for end in ("_depth.png", ".json")}
+
+    def test_a_photo_that_takes_too_long_is_left_after_sigterm(self, tmp_path: Path) -> None:
+        """In a process of its own, which ends at once."""
+        write_photo(tmp_path / "a.png")
+        program = (
+            "import os, signal, sys, time\n"
+            "from types import SimpleNamespace\n"
+            "import zoedepth.commands.predict as command\n"
+            "from zoedepth.jobs.run import Tally\n"
+            "from rich.console import Console\n"
+            "command._PATIENCE = 0.2\n"
+            "found = SimpleNamespace(found=SimpleNamespace(n_ignored=0))\n"
+            "options = dict(json_=False, streamed=False)\n"
+            "report = command._Report(found, None, Tally(done=7), Console(stderr=True), set(), **options)\n"
+            "with command._terminated_as_interrupted(report._give_up):\n"
+            "    try:\n"
+            "        os.kill(os.getpid(), signal.SIGTERM)\n"
+            "        time.sleep(60)\n"
+            "    except KeyboardInterrupt:\n"
+            "        time.sleep(60)\n"
+        )
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+        assert done.returncode == 143
+        assert "Terminated: 7 photos written" in done.stderr
+        assert "type the same command again" in " ".join(done.stderr.split())

@@ -1,9 +1,14 @@
 """Work and downloads as they are shown: a bar on a terminal, lines elsewhere."""
 
+import io
+import time
+
 import pytest
+from rich.console import Console
 
 from zoedepth.commands import progress as progress_module
-from zoedepth.commands.progress import download_progress, track
+from zoedepth.commands.progress import download_progress, show_tally, tally_line, track
+from zoedepth.jobs.run import Tally
 
 
 @pytest.fixture
@@ -102,3 +107,22 @@ def test_bar_goes_away_when_the_download_fails(monkeypatch: pytest.MonkeyPatch, 
     with pytest.raises(OSError, match="cut"):
         fail()
     assert capfd.readouterr().err.endswith(("\x1b[2K", "\x1b[?25h")), "the line is erased and the cursor is back"
+
+
+def test_the_line_of_a_job_says_what_is_done_failed_and_left() -> None:
+    assert tally_line(Tally(), "depth", seconds=1) == "depth: 0 done, 0 failed"
+    tally = Tally(done=900, failed=100, before=2000, total=13_000)
+    assert (
+        tally_line(tally, "depth", seconds=50)
+        == "depth: 2,900 of 13,000 done, 100 failed, 2,000 of them before, 20.0 a second, 8 min left"
+    )
+    assert tally_line(Tally(done=3), "depth", seconds=15) == "depth: 3 done, 0 failed, 5.0 s each"
+
+
+def test_a_job_prints_lines_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zoedepth.commands.progress.EVERY", 0.001)
+    tally, shown = Tally(done=3, total=4), io.StringIO()
+    with show_tally(tally, "depth", Console(file=shown)):
+        while "\n" not in shown.getvalue():
+            time.sleep(0.001)
+    assert shown.getvalue().startswith("depth: 3 of 4 done, 0 failed")

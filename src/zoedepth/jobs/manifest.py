@@ -159,18 +159,10 @@ class Manifest:
                 "same options to go on with it, --overwrite to do everything again, or another --out"
             )
         self._open()
-        run = {
-            "zoedepth_manifest": 1,
-            "fingerprint": fingerprint,
-            "named": named,
-            "overwrite": forget,
-            "by": this_process(),
-            "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-            "settings": settings,
-        }
-        self._write(to_json(run).encode() + b"\n")
+        line = begin_line(settings, fingerprint=fingerprint, named=named, overwrite=forget)
+        self._write(line)
         self.fingerprint = fingerprint
-        self.runs.append(json.loads(to_json(run)))
+        self.runs.append(json.loads(line))
         if forget:
             self._database.execute("DELETE FROM entries")
 
@@ -187,6 +179,21 @@ class Manifest:
             self._reader.seek(row[0])
             entry = parse_line(self._reader.readline(_MAX_LINE + 1))
         return entry if isinstance(entry, Entry) and entry.input == name else None
+
+    def current(self) -> Iterator[Entry]:
+        """Yield the entries that hold: of each input that was done, its last success, and of others, a failure.
+
+        They come in the order of the file. Only those count that a command with the settings of the last one wrote.
+        """
+        rows = self._database.execute("SELECT place FROM entries WHERE run = ? ORDER BY place", (self.fingerprint,))
+        if not self.path.exists():
+            return
+        with self.path.open("rb") as file:
+            for (place,) in rows:
+                file.seek(place)
+                entry = parse_line(file.readline(_MAX_LINE + 1))
+                if isinstance(entry, Entry):
+                    yield entry
 
     def add(self, entry: Entry) -> None:
         """Add an entry. When this returns, it is in the file.
@@ -255,6 +262,20 @@ class Manifest:
         )
         self._database.execute("COMMIT")
         rows.clear()
+
+
+def begin_line(settings: Mapping[str, object], *, fingerprint: str, named: bool, overwrite: bool = False) -> bytes:
+    """Return the line of a command that begins; see ``Manifest.begin``."""
+    run = {
+        "zoedepth_manifest": 1,
+        "fingerprint": fingerprint,
+        "named": named,
+        "overwrite": overwrite,
+        "by": this_process(),
+        "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "settings": settings,
+    }
+    return to_json(run).encode() + b"\n"
 
 
 def fingerprint_of(settings: Mapping[str, object]) -> str:

@@ -1,0 +1,96 @@
+"""A job as a whole: its shards add up, and one manifest of theirs goes on where they were."""
+
+from pathlib import Path
+
+import fsspec
+import pytest
+from tests.jobs.photos import contents, entries, run, write_photo, write_photos
+
+from zoedepth.errors import InputError
+from zoedepth.jobs.report import merge_shards, missing_shards, read_failures, read_status
+from zoedepth.jobs.shard import JobShard
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Path:
+    """A job of ten photos in three shards, of which two are done; one photo is broken."""
+    folder = write_photos(tmp_path / "in", 9)
+    (folder / "bad.png").write_bytes(b"no picture")
+    for shard in ("0/3", "2/3"):
+        run(folder, out=tmp_path / "out", shard=shard)
+    return tmp_path / "out"
+
+
+def test_status_adds_up(job: Path) -> None:
+    found = read_status(str(job))
+    assert [str(each.shard) for each in found] == ["0/3", "2/3"]
+    assert missing_shards(found) == [JobShard(1, 3)]
+    run(job.parent / "in", out=job, shard="1/3")
+    found = read_status(str(job))
+    assert missing_shards(found) == []
+    assert (sum(each.done for each in found), sum(each.failed for each in found)) == (9, 1)
+    (failure,) = read_failures(str(job))
+    assert failure.input == str(job.parent / "in" / "bad.png")
+    assert "not an image" in str(failure.error)
+    assert not any(each.running for each in found)
+
+
+def test_a_shard_that_is_worked_on_is_running(job: Path) -> None:
+    seen = []
+    run(job.parent / "in", out=job, shard="1/3", at=lambda _: seen.append([e.running for e in read_status(str(job))]))
+    assert seen[0] == [False, True, False]
+
+
+def test_merged_it_goes_on_without_shards(job: Path) -> None:
+    before = contents(job)
+    n_done = sum(each.done for each in read_status(str(job)))
+    assert merge_shards(str(job)) == n_done
+    assert {file.name for file in job.iterdir() if "manifest" in file.name} == {
+        "zoedepth-manifest.jsonl", ".zoedepth-manifest.jsonl.lock",
+    }  # fmt: skip
+    write_photo(job.parent / "in" / "bad.png")
+    _, tally = run(job.parent / "in", out=job)
+    assert (tally.before, tally.done, tally.failed) == (n_done, 10 - n_done, 0)
+    assert contents(job).items() >= before.items()
+    assert len({entry.input for entry in entries(job / "zoedepth-manifest.jsonl") if entry.status == "done"}) == 10
+    with pytest.raises(InputError, match="no shards to merge"):
+        merge_shards(str(job))
+
+
+def test_what_is_in_the_whole_already_stays(job: Path) -> None:
+    run(job.parent / "in", out=job)
+    assert merge_shards(str(job)) == 9
+    assert run(job.parent / "in", out=job)[1].before == 9
+
+
+def test_shards_of_different_settings_are_refused_and_kept(job: Path) -> None:
+    run(job.parent / "in", out=job, shard="1/3", settings={"weights": "2"})
+    with pytest.raises(InputError, match="different settings"):
+        merge_shards(str(job))
+    assert len(list(job.glob("zoedepth-manifest-*"))) == 3
+
+
+def test_a_running_shard_is_not_merged(job: Path) -> None:
+    def merge(_: object) -> None:
+        with pytest.raises(InputError, match="another command works on"):
+            merge_shards(str(job))
+
+    run(job.parent / "in", out=job, shard="1/3", at=merge)
+
+
+def test_what_is_no_job(tmp_path: Path) -> None:
+    for out in (tmp_path, tmp_path / "none", "memory://none/at/all"):
+        with pytest.raises(InputError, match=r"job|nothing at"):
+            read_status(str(out))
+
+
+def test_a_job_in_a_store(tmp_path: Path) -> None:
+    fsspec.filesystem("memory").store.clear()
+    folder = write_photos(tmp_path / "in")
+    for shard in ("0/2", "1/2"):
+        run(folder, out="memory://bucket/out", shard=shard)
+    found = read_status("memory://bucket/out")
+    assert [(str(each.shard), each.running) for each in found] == [("0/2", None), ("1/2", None)]
+    assert sum(each.done for each in found) == 4
+    with pytest.raises(InputError, match="merged in a folder"):
+        merge_shards("memory://bucket/out")
