@@ -1,6 +1,7 @@
 """Write shards: the same samples come back bit for bit, other programs read them, and interrupted writing goes on."""
 
 import json
+import os
 import tarfile
 from dataclasses import replace
 from pathlib import Path
@@ -138,7 +139,7 @@ class TestWriting:
     @pytest.mark.parametrize("workers", [0, 2])
     def test_interrupted_writing_goes_on(self, pairs: PairDataset, shards: Path, tmp_path: Path, workers: int):
         out, photo = tmp_path / "out", pairs.pairs[4].image
-        content = photo.read_bytes()
+        content, before = photo.read_bytes(), photo.stat()
         photo.write_bytes(b"damaged")
         with pytest.raises(InputError, match=photo.name) as raised:
             write_shards(pairs, out, name="pairs", size=THREE, workers=workers)
@@ -148,6 +149,7 @@ class TestWriting:
             ShardDataset(out)
 
         photo.write_bytes(content)
+        os.utime(photo, ns=(before.st_atime_ns, before.st_mtime_ns))
         begun, first = (out / "pairs-000000.tar").stat().st_ino, []
         write_shards(pairs, out, name="pairs", size=THREE, track=lambda samples, n: first.append(n) or samples)
         assert first == [3]
@@ -158,6 +160,19 @@ class TestWriting:
         before = {path.name: path.stat().st_ino for path in shards.iterdir()}
         write_shards(pairs, shards, name="pairs", size=THREE)
         assert {path.name: path.stat().st_ino for path in shards.iterdir()} == before
+
+    def test_files_that_have_changed_since_are_said(self, pairs: PairDataset, shards: Path):
+        """Also where the first sample, and all the numbers, are what they were."""
+        path = pairs.pairs[4].target
+        assert path is not None
+        write_depth_png(path, np.full((16, 24), 7, np.float32))
+        before = {path.name: path.read_bytes() for path in shards.iterdir()}
+        with pytest.raises(InputError, match=r"samples 3 to 5 have changed since .*pairs-000001\.tar was written"):
+            write_shards(pairs, shards, name="pairs", size=THREE)
+        assert {path.name: path.read_bytes() for path in shards.iterdir()} == before
+        (shards / "pairs-000001.tar").unlink()
+        write_shards(pairs, shards, name="pairs", size=THREE)
+        assert all(same(ShardDataset(shards)[i], pairs[i]) for i in (0, 4, 6))
 
     def test_lost_shard_is_written_again(self, pairs: PairDataset, shards: Path):
         content = (shards / "pairs-000001.tar").read_bytes()

@@ -21,8 +21,9 @@ from zoedepth.stored import parse_json
 INDEX_FILE = "index.json"
 
 _FORMAT = "zoedepth shards 1"
-# A million samples in a thousand shards take 12 MB; each sample is a number, and each shard two brackets and six texts.
-_MAX_INDEX, _MOST = 1 << 25, {b",": 2_000_000, b"[": 100_000, b"{": 100_000, b'"': 1_200_000}
+# A million samples in a thousand shards take 12 MB: a number for each sample, two brackets and eight texts for each
+# shard.
+_MAX_INDEX, _MOST = 1 << 25, {b",": 2_000_000, b"[": 100_000, b"{": 100_000, b'"': 1_600_000}
 _SHARD_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,200}\.tar")
 
 
@@ -36,6 +37,8 @@ class Shard:
     """The byte at which each sample begins; the last number is where the last sample ends."""
     sha256: str | None = None
     """SHA-256 of the whole file, where it is known."""
+    state: str | None = None
+    """Hash that changes with the size or the time of any file that was packed; None where that is not known."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -58,7 +61,13 @@ class Index:
     def to_json(self) -> str:
         """Return the text of ``index.json``."""
         shards = [
-            {"name": shard.name, "samples": len(shard), "sha256": shard.sha256, "offsets": shard.offsets.tolist()}
+            {
+                "name": shard.name,
+                "samples": len(shard),
+                "sha256": shard.sha256,
+                **({"state": shard.state} if shard.state else {}),
+                "offsets": shard.offsets.tolist(),
+            }
             for shard in self.shards
         ]
         record = {
@@ -199,4 +208,5 @@ def _parse_shard(entry: dict[str, Any]) -> Shard:
     sizes = np.diff(offsets)
     if offsets.ndim != 1 or len(sizes) == 0 or offsets[0] < 0 or sizes.min() <= 0 or sizes.max() > MAX_SAMPLE:
         raise ValueError(f"the offsets of {name} are not those of samples")
-    return Shard(name, offsets, sha256)
+    state = entry.get("state")
+    return Shard(name, offsets, sha256, state if isinstance(state, str) else None)

@@ -3,7 +3,7 @@
 import hashlib
 import re
 import tarfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
@@ -71,6 +71,8 @@ class Packed(NamedTuple):
     block: bytes
     domain: str
     kind: Target
+    state: str = ""
+    """Text that changes with the size or the time of its files; "" where it has none."""
 
 
 def write_shards(
@@ -96,7 +98,8 @@ def write_shards(
         track: gets the samples and the number of the first one to write, gives them on, and shows progress.
 
     Raises:
-        InputError: a sample is damaged or larger than 256 MiB, or the folder has other shards. Finished shards stay,
+        InputError: a sample is damaged or larger than 256 MiB, the folder has other shards, or files have changed since
+            they were packed. Finished shards stay,
             and the same call goes on from there.
     """
     if not _NAME.fullmatch(name):
@@ -146,6 +149,7 @@ class _Packing(Dataset[Packed | InputError]):
 
     def __getitem__(self, index: int) -> Packed | InputError:
         try:
+            state = self.state(index)  # before it is read: what changes meanwhile is found out next time
             sample = self.dataset[index]
             photo, scale = _origin(self.dataset, index)
             block = pack(f"{index:08d}", _pack_photo(sample, photo) | _pack_target(sample, scale))
@@ -153,7 +157,19 @@ class _Packing(Dataset[Packed | InputError]):
                 raise InputError(f"{sample.name} has {len(block):,} bytes, more than {MAX_SAMPLE:,}")
         except InputError as error:
             return error
-        return Packed(block, sample.domain, sample.kind)
+        return Packed(block, sample.domain, sample.kind, state)
+
+    def state(self, index: int) -> str:
+        """Return ``Packed.state`` of a sample."""
+        if not isinstance(self.dataset, PairDataset | PublishedDataset):
+            return ""
+        found = []
+        for file in self.dataset.pairs[index].files:
+            try:
+                found.append((file.name, file.stat().st_size, file.stat().st_mtime_ns))
+            except OSError:
+                found.append((file.name, 0, 0))
+        return repr(found)
 
 
 def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
@@ -223,7 +239,7 @@ def _write_shard(
     path: Path, name: str, packed: Packed, samples: Iterator[Packed], size: ShardSize
 ) -> tuple[Shard, set[tuple[str, Target]], Packed | None]:
     """Write a shard; returns it, the (domain, kind) of its samples, and the sample for which it had no room."""
-    offsets, written, digest = [0], set(), hashlib.sha256()
+    offsets, written, digest, states = [0], set(), hashlib.sha256(), []
     following: Packed | None = packed
     with path.open("wb") as file:
         while following is not None:
@@ -233,18 +249,25 @@ def _write_shard(
             digest.update(following.block)
             offsets.append(offsets[-1] + len(following.block))
             written.add((following.domain, following.kind))
+            states.append(following.state)
             following = next(samples, None)
         end = b"\0" * (2 * tarfile.BLOCKSIZE)  # the mark at the end of a tar file
         file.write(end)
         digest.update(end)
-    return Shard(name, np.array(offsets, np.int64), digest.hexdigest()), written, following
+    shard = Shard(name, np.array(offsets, np.int64), digest.hexdigest(), _joined(states))
+    return shard, written, following
+
+
+def _joined(states: Sequence[str]) -> str | None:
+    """Return the ``state`` of a shard with samples of these states."""
+    return hashlib.sha256("\n".join(states).encode()).hexdigest()[:16] if any(states) else None
 
 
 def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
     """Return the index of the shards that are finished in the folder.
 
     Raises:
-        InputError: they are shards of other samples or of another size.
+        InputError: they are shards of other samples or of another size, or of samples whose files have changed since.
     """
     path = out / INDEX_FILE
     if not path.is_file():
@@ -265,6 +288,15 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
             same = file.read(int(finished[0].offsets[1])) == first.block
     if not same:
         raise InputError(f"{out} has shards of other samples or of another size: give another folder, or remove it")
+    begin = 0
+    for shard in finished:
+        state = _joined([packing.state(number) for number in range(begin, begin + len(shard))])
+        if shard.state and state != shard.state:
+            raise InputError(
+                f"files of samples {begin} to {begin + len(shard) - 1} have changed since {out / shard.name} was "
+                "written: remove it, and it is written again, or give another folder"
+            )
+        begin += len(shard)
     return replace(index, shards=finished, complete=index.complete and len(finished) == len(index.shards))
 
 
