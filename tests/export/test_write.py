@@ -27,11 +27,11 @@ from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.export import export_model, load_exported
 from zoedepth.export.wrapper import ExportModel
-from zoedepth.export.write import OPSET, ExportError, Format, metadata
+from zoedepth.export.write import OPSET, SUFFIXES, ExportError, Format, check_wish, metadata
 from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
-from zoedepth.weights.exported import ExportedModel, OpenVinoModel
+from zoedepth.weights.exported import METADATA, ExportedModel, OpenVinoModel
 from zoedepth.weights.openvino_graph import LARGE
 
 MODELS: dict[str, Callable[[ModelConfig], ZoeDepth]] = {
@@ -40,6 +40,7 @@ MODELS: dict[str, Callable[[ModelConfig], ZoeDepth]] = {
     "mlp router": lambda config: balanced(flat(config, 2)),
 }
 NAMES: dict[Format, str] = {"onnx": "model.onnx", "openvino": "model.xml", "torch-export": "model.pt2"}
+EARLIER = f'{METADATA}{{"config": "of an earlier export"}}'
 FORMATS = pytest.mark.parametrize("to", ["onnx", "openvino"])
 
 
@@ -161,11 +162,43 @@ def test_a_file_with_other_depth_is_refused_and_removed(
             bias.copy_(before)
 
     monkeypatch.setattr(zoedepth.export.write, "_write_onnx", spoiled)
-    (tmp_path / "model.onnx").write_text("an earlier export of zoedepth")
+    (tmp_path / "model.onnx").write_text(EARLIER)
     with pytest.raises(ExportError, match="gives other depth than torch"):
         export_model(model, tmp_path / "model.onnx", to="onnx")
     assert [path.name for path in tmp_path.iterdir()] == ["model.onnx"]
-    assert (tmp_path / "model.onnx").read_text() == "an earlier export of zoedepth"
+    assert (tmp_path / "model.onnx").read_text() == EARLIER
+
+
+def write_onnx(path: Path, texts: dict[str, str], *, about: str = "") -> None:
+    """Write the smallest graph, with texts in its metadata and one about it, as torch's newer exporter has them."""
+    import onnx
+    from onnx import TensorProto, helper
+
+    value = helper.make_tensor_value_info("x", TensorProto.FLOAT, [1])
+    graph = helper.make_graph([helper.make_node("Identity", ["x"], ["y"], doc_string=about)], "g", [value], [
+        helper.make_tensor_value_info("y", TensorProto.FLOAT, [1])
+    ])  # fmt: skip
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    helper.set_model_props(model, texts)
+    onnx.save(model, path)
+
+
+def test_exports_are_known_by_their_metadata_and_by_no_word(tmp_path: Path, tiny_model: ZoeDepth):
+    """Files of other exporters name the source files of transformers' zoedepth."""
+    import openvino
+
+    said, about = {METADATA: metadata(tiny_model)}, "transformers/models/zoedepth/modeling_zoedepth.py:12"
+    write_onnx(tmp_path / "own.onnx", said)
+    graph: Any = openvino.Core().read_model(tmp_path / "own.onnx")
+    graph.set_rt_info(said[METADATA], METADATA)
+    openvino.save_model(graph, tmp_path / "own.xml")
+    program = torch.export.export(nn.Identity(), (torch.zeros(1),))
+    torch.export.save(program, tmp_path / "own.pt2", extra_files=said)
+    write_onnx(tmp_path / "theirs.onnx", {"model": "{'zoedepth': 1}", "other": '{"config": 1}'}, about=about)
+    for to, suffix in SUFFIXES.items():
+        check_wish(tmp_path / f"own{suffix}", to=to)
+    with pytest.raises(InputError, match=r"theirs\.onnx is there already, and is not an export of zoedepth"):
+        check_wish(tmp_path / "theirs.onnx", to="onnx")
 
 
 def test_int8_is_in_all_of_encoder_and_decoder_and_nothing_else(exports: Exports, tmp_path: Path):

@@ -5,6 +5,7 @@ import logging
 import math
 import mmap
 import os
+import re
 import shutil
 import tempfile
 import warnings
@@ -125,6 +126,15 @@ def check_wish(
             raise MissingExtraError(to, f"export to {to}")
 
 
+_OWN = re.compile(
+    # Behind the key come the filler of torch's archives, the length of a text in ONNX, or the attribute of an XML.
+    rb'%s(?:FB..Z{0,64}|\x12[\x80-\xff]{0,4}.| value=")?\{(?:"|&quot;)config(?:"|&quot;)' % METADATA.encode(),
+    re.DOTALL,
+)
+"""The metadata, which no format compresses: its key, and the beginning of the JSON. The key alone stands in files of
+others, too: in names of modules, and in paths of source files."""
+
+
 def _check_target(path: Path) -> None:
     """Refuse to replace a file that no export has written, or the .bin file of something else."""
     weights = path.with_suffix(".bin")
@@ -136,7 +146,7 @@ def _check_target(path: Path) -> None:
         return
     if path.is_file() and path.stat().st_size:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            if content.find(METADATA.encode()) >= 0:  # the key of the metadata, which no format compresses
+            if _OWN.search(content):
                 return
     raise InputError(f"{path} is there already, and is not an export of zoedepth: give another name, or move it away")
 
