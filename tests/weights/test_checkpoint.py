@@ -150,7 +150,15 @@ def test_our_weights_without_a_config_are_refused(tmp_path: Path, config: str | 
 
 
 @KINDS
-@pytest.mark.parametrize("config", [None, '{"_name_or_path": "x"}'], ids=["none", "of-something-else"])
+@pytest.mark.parametrize(
+    "config",
+    [
+        None,
+        '{"_name_or_path": "x"}',
+        '{"model_type": "depth_anything", "bin_configurations": [{"n_bins": 64, "min_depth": 0.1, "max_depth": 99}]}',
+    ],
+    ids=["none", "of-something-else", "of-another-model"],
+)
 def test_config_of_transformers_is_told_from_the_shapes_of_a_file_alone_but_a_folder_must_have_it(
     tmp_path: Path, kind: str, config: str | None
 ):

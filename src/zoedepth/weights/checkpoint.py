@@ -70,10 +70,10 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         raise InputError(f"there is no file {file}")
     weights, texts = read_tensors(file)
     try:
-        if path.is_dir() and huggingface.layout_of(weights) and not _json_beside(folder, CONFIG, "model_type"):
+        if path.is_dir() and huggingface.layout_of(weights) and not _config_of_transformers(folder):
             raise InputError(
-                f"the folder has no {CONFIG} of transformers, which holds the kind of bins and their range: put it "
-                "back, or give the file of weights alone if it is one of the three published ones"
+                f"the folder has no {CONFIG} of transformers' ZoeDepth, which holds the kind of bins and their range: "
+                "put it back, or give the file of weights alone if it is one of the three published ones"
             )
         checkpoint = _recognise(weights, texts, folder)
         return checkpoint._replace(provenance=_provenance(texts, path))
@@ -108,7 +108,7 @@ def _weights_in(folder: Path) -> Path:
 
 def _recognise(weights: dict[str, Tensor], texts: Mapping[str, str], folder: Path) -> Checkpoint:
     if layout := huggingface.layout_of(weights):
-        config = _json_beside(folder, CONFIG, "model_type")
+        config = _config_of_transformers(folder)
         preprocessor = _json_beside(folder, PREPROCESSOR, "size")
         return _translated(
             "huggingface", lambda: huggingface.read(weights, config, layout=layout, preprocessor=preprocessor)
@@ -158,6 +158,12 @@ def _json_beside(folder: Path, name: str, key: str) -> dict | None:
         return None
     values = read_json(folder / name)
     return values if key in values else None
+
+
+def _config_of_transformers(folder: Path) -> dict | None:
+    """Read the config.json beside weights of transformers. None if it is missing, or of another kind of model."""
+    values = _json_beside(folder, CONFIG, "model_type")
+    return values if values is not None and values["model_type"] == "zoedepth" else None
 
 
 # --- writing ----------------------------------------------------------------------------------------------------------
