@@ -153,6 +153,13 @@ def test_page_shows_names_and_command_as_they_are(tmp_path: Path) -> None:
     assert "(a%20b%23/1%3F.png)" in (tmp_path / "report.md").read_text()
 
 
+def test_tables_of_a_data_set_are_not_those_of_one_whose_name_begins_alike(tmp_path: Path) -> None:
+    found = [summary_of(source_of(1.0), "ours", name, photos(1)) for name in ("a", "a: b")]
+    write_report(tmp_path, found, report_tables(found, {}), command="", pictures={})
+    first, second = (tmp_path / "report.md").read_text().split("## a: b")
+    assert (first.count("\n| source"), second.count("\n| source")) == (2, 2)
+
+
 def test_letters_of_another_code_page_are_written_as_what_they_are(tmp_path: Path) -> None:
     """As they come from a command line in the C locale, and bytes that are no text at all."""
     label, broken = "zoé".encode().decode("ascii", "surrogateescape"), "\udcff"

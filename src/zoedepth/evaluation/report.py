@@ -54,7 +54,7 @@ def write_report(
     for data in dict.fromkeys(summary.data for summary in summaries):
         parts.append(f"## {data}")
         page.append(f"<h2>{escape(data)}</h2>")
-        mine = [table for table in tables if table.title.startswith(f"{data}: ")]
+        mine = [table for table in tables if table.data == data]
         parts += [table.markdown() for table in mine]
         page += [table.html() for table in mine]
         notes = [

@@ -30,6 +30,8 @@ class ReportTable:
     """(row, column) of the cells to set in bold: the best value of a column."""
     note: str = ""
     """A sentence that stands below the table."""
+    data: str = ""
+    """Name of the data set that it is about."""
 
     def markdown(self) -> str:
         """Write the table as GitHub's Markdown."""
@@ -148,7 +150,7 @@ def results_table(
     kind = {summary.mean for summary in summaries}
     title = f"{data}: protocol {', '.join(labels)}; mean over {' and '.join(sorted(kind))}"
     header = ("source", "images", *(HEADINGS[name] for name in COLUMNS), "router")
-    return ReportTable(title, header, tuple(line.cells for line in lines), frozenset(best), note)
+    return ReportTable(title, header, tuple(line.cells for line in lines), frozenset(best), note, data)
 
 
 class _Line(NamedTuple):
@@ -205,7 +207,7 @@ def extras_table(summaries: Sequence[Summary], data: str) -> ReportTable:
     other = "pixels" if all(summary.mean == "images" for summary in summaries) else "images"
     header = ("source", f"REL over {other}", f"RMSE over {other}", "SqRel", "RMSE log", "edge F1", "AUSE",
               "within 1 std", "within 2 std")  # fmt: skip
-    return ReportTable(f"{data}: more of the same images", header, tuple(rows))
+    return ReportTable(f"{data}: more of the same images", header, tuple(rows), data=data)
 
 
 def ranges_table(summaries: Sequence[Summary], data: str) -> ReportTable:
@@ -217,7 +219,7 @@ def ranges_table(summaries: Sequence[Summary], data: str) -> ReportTable:
     for summary in summaries:
         cells = (f"{summary.ranges[name]['rel']:.3f}" if name in summary.ranges else "-" for name in names)
         rows.append((summary.source, *cells))
-    return ReportTable(f"{data}: REL by true depth, pooled over pixels", ("metres", *names), tuple(rows))
+    return ReportTable(f"{data}: REL by true depth, pooled over pixels", ("metres", *names), tuple(rows), data=data)
 
 
 def _number(name: str, value: float) -> str:
