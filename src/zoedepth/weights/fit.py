@@ -1,5 +1,6 @@
 """Put the weights of a checkpoint into the network of its config."""
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -8,12 +9,15 @@ import torch
 from torch import Tensor
 
 from zoedepth.build import build_model, channels_last, without_memory
-from zoedepth.config import AnyModelConfig, ModelConfig
-from zoedepth.errors import InputError
+from zoedepth.config import INDOOR, AnyModelConfig, ModelConfig
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.model.interface import DepthModel
 from zoedepth.presets import with_compat
 from zoedepth.weights.checkpoint import Checkpoint
 from zoedepth.weights.layouts.keys import shown
+
+_WITHOUT_RANGE = ("adabins", "bts", "localbins", "newcrfs")
+"""Layouts of checkpoints whose depth is a share of a range that they do not name."""
 
 
 def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str] = ()) -> DepthModel:
@@ -24,11 +28,23 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
         source: name of the checkpoint, for messages.
         compat: see ``load_model``.
 
+    Warns:
+        InputWarning: it is a baseline's checkpoint, which does not name its range.
+
     Raises:
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
     """
     config, weights, _, name_in_file, provenance = checkpoint
     _refuse_strange(config, len(weights), source)
+    compat = tuple(compat)
+    if checkpoint.layout in _WITHOUT_RANGE and "80m" not in compat and config.domains == (INDOOR,):
+        warnings.warn(
+            f"{source} does not say how far its depth reaches, and 10 m is taken, as for NYU. If it was trained on "
+            "KITTI, its depth comes out 8 times too near: give compat=['80m'] (--compat 80m). zoedepth convert writes "
+            "either into a file",
+            InputWarning,
+            stacklevel=2,
+        )
     config = with_compat(config, compat)
     try:
         with without_memory():

@@ -1,5 +1,6 @@
 """Checkpoints of the baselines, as files, by the front door."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from tests.weights.layouts.layouts import released
 from zoedepth.build import build_model
 from zoedepth.cli import main
 from zoedepth.config import INDOOR, OUTDOOR, BaselineConfig, BtsNetworkConfig
+from zoedepth.errors import InputWarning
 from zoedepth.weights.checkpoint import read_checkpoint
 from zoedepth.weights.layouts import adabins, bts, huggingface, localbins, newcrfs, original, pixelbins
 from zoedepth.weights.load import load_model
@@ -44,7 +46,11 @@ def published(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_file_is_loaded_by_its_content(published: Path):
     assert read_checkpoint(published).layout == "bts"
-    near, far = load_model(published), load_model(published, compat=["80m"])
+    with pytest.warns(InputWarning, match=r"does not say how far .*--compat 80m"):
+        near = load_model(published)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        far = load_model(published, compat=["80m"])
     assert near.config.network == BtsNetworkConfig("densenet121")
     assert (near.config.domains, far.config.domains) == ((INDOOR,), (OUTDOOR,))
     with torch.no_grad():
@@ -55,7 +61,9 @@ def test_file_is_loaded_by_its_content(published: Path):
 def test_range_is_written_into_the_converted_file(published: Path, tmp_path: Path):
     target = tmp_path / "bts.safetensors"
     assert main(["convert", str(published), str(target), "--to", "zoedepth", "--compat", "80m"]) == 0
-    assert load_model(target).config == load_model(published, compat=["80m"]).config
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        assert load_model(target).config == load_model(published, compat=["80m"]).config
 
 
 @pytest.mark.parametrize("to", ["original", "huggingface"])
