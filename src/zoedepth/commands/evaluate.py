@@ -135,7 +135,8 @@ def evaluate(
         for summary in found.summaries:
             print(to_json(_record(summary)))
     else:
-        _print_tables(found.tables(with_paper=with_paper))
+        for table in found.tables(with_paper=with_paper):
+            print_table(table)
     if out is not None:
         found.write_report(out, command=shlex.join(["zoedepth", *sys.argv[1:]]), with_paper=with_paper)
         console.print(f"Report: {out / 'report.md'}, .html, .tex, .json", soft_wrap=True)
@@ -269,18 +270,17 @@ def _record(summary: "Summary") -> dict:
     }
 
 
-def _print_tables(tables: "Sequence[ReportTable]") -> None:
+def print_table(table: "ReportTable") -> None:
+    """Print a table and its note; a block for each row where it is too wide: no name and no number is cut."""
     from rich.console import Console
 
     console = Console(file=sys.stdout, width=None if sys.stdout.isatty() or "COLUMNS" in os.environ else 150)
-    for table in tables:
-        _print_table(console, table)
-        if table.note:
-            console.print(table.note, markup=False, highlight=False)
+    _print_table(console, table)
+    if table.note:
+        console.print(table.note, markup=False, highlight=False)
 
 
 def _print_table(console: "Console", table: "ReportTable") -> None:
-    """Print a table, or a block for each of its rows where it is too wide: no name and no number is cut."""
     from rich.measure import Measurement
     from rich.table import Table
     from rich.text import Text

@@ -1,0 +1,1 @@
+"""The paper's comparisons, run: every row of a table is trained, scored, and shown beside the paper's number."""

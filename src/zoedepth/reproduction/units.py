@@ -1,0 +1,181 @@
+"""The work of a reproduction, in units: a row with a seed, after the pre-training that it starts from."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from zoedepth.config import ModelConfig, to_dict
+from zoedepth.data.lists import Pair
+from zoedepth.data.pairs import PairDataset
+from zoedepth.data.sample import Samples
+from zoedepth.datasets.published import PublishedDataset
+from zoedepth.evaluation.identity import fingerprint, settings_fingerprint
+from zoedepth.opening import open_dataset
+from zoedepth.reproduction.scale import Scale
+from zoedepth.reproduction.tables import Row, Table, rows_of
+from zoedepth.shards.dataset import ShardDataset
+from zoedepth.train.config import TrainConfig
+
+_NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check", "accumulate")
+"""Fields of a configuration that do not change its result."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One training, and what it starts from."""
+
+    name: str
+    """Name for people, and for its folder."""
+    config: TrainConfig
+    data: Mapping[str, str]
+    """Source of the configuration → where the data is."""
+    start: "Training | str"
+    """The training whose result it starts from; or weights, "imagenet" among them."""
+    id: str
+    """A hash of the configuration, the data, the seed and the start: whose result this is."""
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder of its run."""
+        letters = "".join(c if c.isascii() and c.isalnum() else "-" for c in self.name)
+        return f"{'-'.join(filter(None, letters.split('-')))}-seed{self.config.seed}-{self.id}"
+
+    def chain(self) -> "list[Training]":
+        """Return the trainings before it, the first one first, and itself."""
+        return [*(self.start.chain() if isinstance(self.start, Training) else []), self]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A row of a table with a seed."""
+
+    row: Row
+    seed: int
+    training: Training | None
+    """None where it cannot be trained."""
+    missing: tuple[str, ...] = ()
+    """Names of data sets that are not there, for want of which it is not run."""
+
+
+def plan(
+    table: Table,
+    scale: Scale,
+    data: Mapping[str, str],
+    *,
+    seeds: Sequence[int],
+    bases: Mapping[str, str] | None = None,
+) -> list[Unit]:
+    """List the work of a table: for each seed, every row.
+
+    Args:
+        table: the comparison.
+        scale: how large it is.
+        data: name → where the data is; names are those of the sources that the recipes train on.
+        seeds: a training of every row for each of them.
+        bases: name of a pre-training → weights that stand for it, in place of one that is trained here.
+
+    Raises:
+        InputError: data cannot be opened.
+    """
+    states: dict[str, str] = {}
+
+    def known(names: Sequence[str]) -> dict[str, str]:
+        for name in names:
+            if name not in states:
+                states[name] = data_content(data[name], name)
+        return {name: states[name] for name in names}
+
+    units = []
+    for seed in seeds:
+        for row in rows_of(table, small=scale.name == "small"):
+            config = replace(scale.adapt(row), seed=seed)
+            chain, start = [], "imagenet"
+            if row.base != "X" and isinstance(config.model, ModelConfig):
+                if bases and row.base in bases:
+                    start = bases[row.base]
+                else:
+                    chain = [replace(each, seed=seed) for each in scale.pretrain(row.base, config.model)]
+            wanted = [source.name for each in (*chain, config) for source in each.sources]
+            if missing := tuple(dict.fromkeys(name for name in wanted if name not in data)):
+                units.append(Unit(row, seed, None, missing))
+                continue
+            before: Training | str = start
+            for i, each in enumerate(chain):
+                name = f"base {row.base}" + (f" {i + 1}" if len(chain) > 1 else "")
+                before = _training(name, each, data, before, known([source.name for source in each.sources]))
+            last = _training(row.name, config, data, before, known([source.name for source in config.sources]))
+            units.append(Unit(row, seed, last))
+    return units
+
+
+def share(units: Sequence[Unit], index: int, count: int) -> list[Unit]:
+    """Return the part of the work that belongs to one of several commands: neighbours, which share pre-trainings.
+
+    Args:
+        units: all of the work.
+        index: number of the command, from 0.
+        count: number of commands.
+    """
+    return list(units[len(units) * index // count : len(units) * (index + 1) // count])
+
+
+def data_content(source: str, name: str) -> str:
+    """Return a hash of what a training reads: names and sizes of the files, and what is said of them.
+
+    It is the same for a copy of the data on another machine.
+
+    Raises:
+        InputError: there is no such data.
+    """
+    dataset: Samples = open_dataset(source, name=name, keep_missing=True)
+    digest = hashlib.sha256(f"{settings_fingerprint(source)} {len(dataset)}".encode())
+    if isinstance(dataset, PairDataset | PublishedDataset):
+        for pair in dataset.pairs:
+            facts: list[object] = [(file.name, _size(file)) for file in pair.files]
+            if isinstance(pair, Pair):
+                facts += [pair.kind, pair.scale, pair.domain, pair.max_depth, pair.camera]
+            digest.update(repr(facts).encode("utf-8", "replace"))
+    elif isinstance(dataset, ShardDataset):
+        digest.update(dataset.index.to_json().encode())
+    elif Path(source).exists():
+        files = sorted(Path(source).rglob("*")) if Path(source).is_dir() else [Path(source)]
+        digest.update(repr([(file.name, _size(file)) for file in files]).encode("utf-8", "replace"))
+    else:
+        digest.update(source.encode())
+    return digest.hexdigest()[:16]
+
+
+def _size(file: Path) -> int:
+    try:
+        return file.stat().st_size
+    except OSError:
+        return -1
+
+
+def _training(
+    name: str, config: TrainConfig, data: Mapping[str, str], start: Training | str, states: Mapping[str, str]
+) -> Training:
+    values: dict[str, Any] = {k: v for k, v in to_dict(config).items() if k not in _NO_MATTER}
+    begin = start.id if isinstance(start, Training) else start
+    own = {source.name: data[source.name] for source in config.sources}
+    return Training(name, config, own, start, fingerprint([values, dict(states), begin]))
+
+
+def scored_names(table: Table, units: Sequence[Unit], data: Mapping[str, str]) -> list[str]:
+    """Return the names of the data sets to score on: those of the table's columns, and those that nothing trains on."""
+    columns = {name for name, _ in table.columns}
+    trained = {
+        source.name
+        for unit in units
+        if unit.training is not None
+        for each in unit.training.chain()
+        for source in each.config.sources
+    }
+    trained |= {name for unit in units for name in unit.missing}
+    return [name for name in data if name in columns or name not in trained | _RELATIVE]
+
+
+_RELATIVE = {"relative", "scenes"}
+"""Data that a pre-training may leave out, and that is never scored."""

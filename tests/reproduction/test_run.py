@@ -1,0 +1,119 @@
+"""Units are trained and scored once, and a reproduction that was killed goes on to the same numbers."""
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from tests.reproduction.conftest import TABLE
+
+from zoedepth.errors import InputError, TrainingError
+from zoedepth.reproduction import run
+from zoedepth.reproduction.run import FAILED, open_scored, read_result, run_unit
+from zoedepth.reproduction.scale import Scale
+from zoedepth.reproduction.shown import shown
+from zoedepth.reproduction.units import Unit, plan
+from zoedepth.train.config import TrainConfig
+
+
+class Killed(BaseException):
+    """The end of the process, which nothing can catch."""
+
+
+@pytest.fixture
+def units(tiny: Scale, data: dict[str, str]) -> list[Unit]:
+    return plan(TABLE, tiny, data, seeds=(3,))
+
+
+def all_results(out: Path, units: list[Unit], data: dict[str, str]) -> str:
+    scored = open_scored(data)
+    return shown(TABLE, units, [read_result(out, unit, scored) for unit in units]).markdown()
+
+
+@pytest.mark.usefixtures("random_start")
+def test_killed_at_any_moment_it_ends_with_the_same_table(
+    tiny: Scale, units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scored, trained = open_scored(data), []
+    for name in ("train_relative", "train_metric"):
+        before = getattr(run, name)
+
+        def watch(config: TrainConfig, *, before: Callable[..., Path] = before, **rest: object) -> Path:
+            trained.append(config.stage)
+            return before(config, **rest)
+
+        monkeypatch.setattr(run, name, watch)
+    for unit in units:
+        run_unit(tmp_path / "whole", unit, scored)
+    # The two rows share one pre-training, which is trained once.
+    assert trained == ["relative", "metric", "metric"]
+    expected = all_results(tmp_path / "whole", units, data)
+    assert "not run" not in expected.partition("\n\n")[2].partition("\n\n")[0]
+
+    out = tmp_path / "killed"
+    with monkeypatch.context() as patch:  # after the pre-training
+        patch.setattr(run, "train_metric", _kill)
+        with pytest.raises(Killed):
+            run_unit(out, units[0], scored)
+    assert read_result(out, units[0], scored) is None
+    with monkeypatch.context() as patch:  # in the middle of a training: only an early checkpoint is there
+        patch.setattr(run, "evaluate", _kill)
+        with pytest.raises(Killed):
+            run_unit(out, units[0], scored)
+    with monkeypatch.context() as patch:  # while its result is written
+        patch.setattr(os, "replace", _kill)
+        with pytest.raises(Killed):
+            run_unit(out, units[0], scored)
+    assert read_result(out, units[0], scored) is None
+    assert "not run" in all_results(out, units, data)
+    trained.clear()
+    for unit in units:
+        run_unit(out, unit, scored)
+    assert trained == ["metric"]  # that of the second row
+    assert all_results(out, units, data) == expected
+    trained.clear()
+    shutil.move(out, tmp_path / "elsewhere")
+    for unit in units:
+        run_unit(tmp_path / "elsewhere", unit, scored)
+    assert trained == []
+
+
+def _kill(*_: object, **__: object) -> None:
+    raise Killed
+
+
+@pytest.mark.usefixtures("random_start")
+def test_training_that_does_not_converge_is_a_result(
+    units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverge(config: TrainConfig, **_: object) -> Path:
+        raise TrainingError("the loss is not finite")
+
+    monkeypatch.setattr(run, "train_relative", lambda config, **_: tmp_path)
+    monkeypatch.setattr(run, "train_metric", diverge)
+    said: list[str] = []
+    found = run_unit(tmp_path, units[0], open_scored(data), say=said.append)
+    assert found is not None
+    assert found.failure == "the loss is not finite"
+    monkeypatch.setattr(run, "train_metric", _kill)
+    assert run_unit(tmp_path, units[0], open_scored(data)) == found  # it is not tried again
+    assert FAILED in all_results(tmp_path, units, data)
+    assert any("the loss is not finite" in line for line in said)
+
+
+def test_result_of_another_making_is_not_taken(units: list[Unit], data: dict[str, str], tmp_path: Path) -> None:
+    training = units[0].training
+    assert training is not None
+    path = tmp_path / "results" / f"{training.folder}.json"
+    path.parent.mkdir()
+    score = {"state": "of other data", "images": 1, "metrics": {"rel": 0.1}}
+    values = {"id": training.id, "failure": "", "parameters": 1, "scores": {"nyu": score}}
+    path.write_text(json.dumps(values))
+    found = read_result(tmp_path, units[0], open_scored(data))
+    assert found is not None
+    assert found.scores == {}
+    path.write_text("{")
+    with pytest.raises(InputError, match=r"is not a result.*remove it"):
+        read_result(tmp_path, units[0], open_scored(data))
