@@ -21,7 +21,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.lens import Lens
 from zoedepth.images import read_image, to_image
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.outputs import OUTPUTS, Options, sidecar
+from zoedepth.outputs import OUTPUTS, Maps, Options, sidecar, write_maps
 from zoedepth.panorama import predict_panorama
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
@@ -251,6 +251,18 @@ class TestOwnFiles:
         (outcome,) = run(photo, tmp_path / "out")
         assert "not from zoedepth" in str(outcome.failure)
         assert (tmp_path / "out" / "a_depth.png").read_bytes() == truth
+
+    @pytest.mark.parametrize("kind", ["npy", "npz", "pfm"])
+    def test_so_are_arrays_that_nothing_but_the_sidecar_tells(self, tmp_path: Path, kind: str) -> None:
+        photo, file = write_photo(tmp_path / "in" / "a.png"), tmp_path / "out" / f"a{OUTPUTS[kind].ending}"
+        for _ in range(2):
+            (outcome,) = run(photo, tmp_path / "out", Request("b", (kind,)))
+            assert outcome.failure is None
+        write_maps(file, Maps(depth=np.full((12, 16), 2.5, np.float32)))
+        truth = file.read_bytes()
+        (outcome,) = run(photo, tmp_path / "out", Request("b", (kind,)))
+        assert "not from zoedepth" in str(outcome.failure)
+        assert file.read_bytes() == truth
 
     def test_depth_of_another_photo_is_kept(self, tmp_path: Path) -> None:
         for name in ("left/a.png", "right/a.png", "left/a.jpg"):
