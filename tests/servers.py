@@ -59,7 +59,7 @@ class _FileHandler(BaseHTTPRequestHandler):
             return
         begin, total = 0, len(owner.content)
         if asked and owner.ranges:
-            begin = int(asked.removeprefix("bytes=").removesuffix("-"))
+            begin = int(asked.removeprefix("bytes=").partition("-")[0])
             if begin >= total:
                 self._head(416, {"Content-Range": f"bytes */{total}", "Content-Length": "0"})
                 return

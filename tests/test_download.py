@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 from tests.servers import FileServer
 
-from zoedepth.download import TIMEOUT, cache_home, download
+from zoedepth.download import TIMEOUT, cache_home, download, version_of
 from zoedepth.errors import InputError
 
 CONTENT = np.random.default_rng(0).bytes(300_000)
@@ -102,6 +102,19 @@ def test_file_arrives_whole_and_leaves_nothing_beside_it(server: FileServer, pat
     assert download(f"{server.url}/some/model.safetensors", path, sha256=sha256(CONTENT).upper()) == path
     assert path.read_bytes() == CONTENT
     assert names(path) == [path.name]
+
+
+def test_version_changes_with_what_the_server_says(server: FileServer):
+    server.etag = '"first"'
+    first = version_of(server.url)
+    assert first is not None
+    assert version_of(server.url) == first
+    server.etag = '"second"'
+    assert version_of(server.url) not in (None, first)
+    server.etag, server.length, server.ranges = None, False, False
+    assert version_of(server.url) is None
+    server.close()
+    assert version_of(server.url) is None
 
 
 def test_file_that_exists_is_returned_untouched_without_network(server: FileServer, path: Path):

@@ -108,6 +108,20 @@ def download(
     return path
 
 
+def version_of(url: str) -> str | None:
+    """Return a text that changes with the file at an address: what its server says of its length, tag and time.
+
+    None where the server cannot be reached, or says none of them.
+    """
+    try:
+        with _open(url, {"Range": "bytes=0-0"}) as response:
+            about = _describe(url, response)
+    except (OSError, HTTPException, ValueError):
+        return None
+    said = {key: value for key, value in about.items() if key != "url" and value is not None}
+    return json.dumps(said, sort_keys=True) if said else None
+
+
 def _receive(url: str, part: Path, record: Path, *, name: str, checked: bool, progress: Progress | None) -> None:
     """Complete ``part``. ``record`` describes the file that it is a part of."""
     start, known = _left_over(part, record)

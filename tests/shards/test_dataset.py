@@ -258,6 +258,18 @@ class TestWeb:
         assert len(dataset) == 3
         assert same(dataset[2], pairs[2])
 
+    def test_shard_without_index_that_has_changed_is_fetched_anew(
+        self, server: FolderServer, shards: Path, pairs: PairDataset, tmp_path: Path
+    ):
+        url, cache = f"{server.url}/pairs-000000.tar", tmp_path / "cache"
+        assert same(ShardDataset(url, cache=cache)[0], pairs[0])
+        (shards / "pairs-000002.tar").replace(shards / "pairs-000000.tar")
+        for _ in range(2):
+            assert same(ShardDataset(url, cache=cache)[0], pairs[6])
+        server.close()
+        assert same(ShardDataset(url, cache=cache)[0], pairs[6])
+        assert len(list(cache.rglob("*.tar"))) == 2
+
     def test_what_is_not_there_is_an_error_that_names_the_address(
         self, server: FolderServer, shards: Path, tmp_path: Path
     ):

@@ -18,7 +18,7 @@ from torch.utils.data import Dataset
 from zoedepth.data.facts import Facts, parse_facts, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
-from zoedepth.download import cache_home, download
+from zoedepth.download import cache_home, download, version_of
 from zoedepth.errors import InputError
 from zoedepth.images import read_image_with_orientation
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
@@ -45,7 +45,8 @@ class ShardDataset(Dataset[Sample]):
     """The samples of shards, by number. It may be copied to any number of worker processes.
 
     A shard from the web is downloaded whole when its first sample is asked for, and kept, so the disk must have room
-    for all of them. An ``index.json`` from the web also says the hash that each shard must have.
+    for all of them. An ``index.json`` from the web also says the hash that each shard must have. The server is asked
+    every time whether the file at an address is still the same; where it cannot be asked, what is kept is taken.
 
     Args:
         path: a folder with ``index.json`` or with tar files, an ``index.json``, a .tar, or the address of one of the
@@ -100,8 +101,7 @@ class ShardDataset(Dataset[Sample]):
 
     def _open_url(self, url: str, cache: Path) -> None:
         if url.endswith(".tar"):
-            # Nothing but its address tells a shard without an index from others.
-            self._folder = cache / hashlib.sha256(url.encode()).hexdigest()[:16]
+            self._folder = _cached(url, cache)
             self.index = scan([download(url, self._folder / "shard.tar")], self._defaults)
             return
         with tempfile.TemporaryDirectory() as folder:  # asked for anew every time, because the shards may have changed
@@ -210,6 +210,22 @@ class _Files:
 def _open(path: Path, process: int) -> tuple[IO[bytes], Lock]:
     """Open a file for one process: a fork shares positions, and its locks may never be released."""
     return path.open("rb"), Lock()
+
+
+def _cached(url: str, cache: Path) -> Path:
+    """Return the folder of a shard without an index: nothing but its address and its server tells it from others.
+
+    Where the server cannot be asked, it is that of the newest one that is kept.
+    """
+    folder, version = cache / _short_hash(url), version_of(url)
+    if version is not None:
+        return folder / _short_hash(version)
+    kept = sorted(folder.glob("*/shard.tar"), key=lambda path: path.stat().st_mtime)
+    return kept[-1].parent if kept else folder / "unknown"
+
+
+def _short_hash(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def _member(members: dict[str, bytes], extension: str, where: str) -> Memory:
