@@ -7,13 +7,17 @@ OLDEST := .venv.oldest
 COMPILED := PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(VENV))/pycache
 PYTEST := $(COMPILED) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
-.PHONY: demo demo-train test test-processors test-oldest fuzz mutants lint bench docs clean
+.PHONY: demo demo-train serve test test-processors test-oldest fuzz mutants lint bench docs clean
 
 demo: $(VENV)/.installed-demo
 	$(BIN)/zoedepth demo --out demo
 
 demo-train: $(VENV)/.installed-train,synthetic
 	$(BIN)/zoedepth demo-train --out demo-train
+
+# The page in the browser, and the API. Open the address that it prints.
+serve: $(VENV)/.installed-serve,exr,mesh,heic
+	$(BIN)/zoedepth serve
 
 test: $(VENV)/.installed-dev
 	$(PYTEST)
