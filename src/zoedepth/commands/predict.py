@@ -93,6 +93,8 @@ def predict(
     overwrite: bool = False,
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     column: str | None = None,
+    engine: Literal["process", "ray"] = "process",
+    address: str | None = None,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Predict depth in metres: for each photo a 16-bit PNG, a colour preview and a JSON sidecar.
@@ -148,6 +150,10 @@ def predict(
         shard: do the I-th of N parts of the photos, e.g. 0/4; the other N - 1 commands do the others, on this machine
             or on others that see the same --out.
         column: column of a .csv or .parquet list that has the photos; without it image, photo, path, file, url or such.
+        engine: process, this one, or ray: the machines of a cluster, or the cores of this one. Their results come in no
+            order.
+        address: the Ray cluster (HOST:PORT, or auto for the one this machine is in); without it RAY_ADDRESS, or a Ray
+            on this machine for this command.
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
             max in metres), domain, projection, camera, focal_correction, calibration, seconds and error.
     """
@@ -167,6 +173,10 @@ def predict(
         raise InputError(f"--out {out} is a file: give a folder")
     if workers is not None and workers < 0:
         raise InputError(f"--workers must be 1 or more, got {workers}")
+    if address is not None and engine != "ray":
+        raise InputError("--address is that of a Ray cluster: give --engine ray, too, or leave it out")
+    if engine == "ray" and out == STREAM:
+        raise InputError("--out - is for one photo: leave --engine out")
     options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
 
     streamed = out == STREAM
@@ -219,15 +229,16 @@ def predict(
             _refuse_files_of_others(first, place.destination, wanted)
 
         from zoedepth.commands.progress import download_progress
+        from zoedepth.jobs.ray_engine import run_on_ray
         from zoedepth.jobs.run import Tally, count_in_background, run_job
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
         from zoedepth.weights.load import load_model
 
-        workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
-        with share_cores(workers):
+        n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
+        with share_cores(n_workers):
             with download_progress() as progress:
-                network = load_model(model, compat=compat, precision=precision, streams=workers, progress=progress)
+                network = load_model(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
             if not network.config.domains:
                 wanted = request(relative=True)
                 if about_metres:
@@ -237,7 +248,7 @@ def predict(
                 network,
                 flip_average=flip,
                 pad=padded,
-                device=device,
+                device="cpu" if engine == "ray" else device,  # the actors have the GPUs
                 precision=precision,
                 camera=known_camera,
                 focal_correction=None if focal_correction == "model" else focal_correction == "yes",
@@ -250,17 +261,34 @@ def predict(
                 count_in_background(tally, listing.count)
             with place.opened() as manifest:
                 manifest.begin(settings, named=listing.named, overwrite=overwrite)
-                results = run_job(
-                    chain(first, inputs),
-                    predictor,
-                    wanted,
-                    manifest=manifest,
-                    destination=place.destination,
-                    workers=workers,
-                    tally=tally,
-                    overwrite=overwrite,
-                    tell_done=json_ or len(first) == 1,
-                )
+                tell_done = json_ or len(first) == 1
+                if engine == "ray":
+                    results = run_on_ray(
+                        chain(first, inputs),
+                        predictor,
+                        wanted,
+                        model=model,
+                        device=device,
+                        manifest=manifest,
+                        destination=place.destination,
+                        workers=workers or None,
+                        address=address,
+                        tally=tally,
+                        overwrite=overwrite,
+                        tell_done=tell_done,
+                    )
+                else:
+                    results = run_job(
+                        chain(first, inputs),
+                        predictor,
+                        wanted,
+                        manifest=manifest,
+                        destination=place.destination,
+                        workers=n_workers,
+                        tally=tally,
+                        overwrite=overwrite,
+                        tell_done=tell_done,
+                    )
                 report = _Report(listing, place, tally, console, told, json_=json_, streamed=streamed)
                 return report.of(results)
 

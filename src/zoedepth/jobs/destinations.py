@@ -6,7 +6,7 @@ import os
 import shutil
 import socket
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory, mkdtemp
@@ -176,12 +176,11 @@ class LocalFolder:
             if (folder / _PLACE).is_file():
                 _finish(folder, self.folder)
             shutil.rmtree(folder, ignore_errors=True)
-        if self._drafts.is_dir():
-            self._drafts.rmdir()
+        self.tidy()
 
     def tidy(self) -> None:
         """Remove the folder of the drafts, which is empty after a command."""
-        if self._drafts.is_dir() and not any(self._drafts.iterdir()):
+        with suppress(OSError):  # it is not there, or an actor of a command that was killed has not noticed that yet
             self._drafts.rmdir()
 
 

@@ -1,0 +1,65 @@
+"""Ray maps the same function: the same files and manifest as from one process."""
+
+import tarfile
+from pathlib import Path
+
+import pytest
+from tests.jobs.photos import contents, entries, write_photo, write_photos
+
+from zoedepth.batch import Request
+from zoedepth.errors import InputError
+from zoedepth.jobs.inputs import Sources
+from zoedepth.jobs.place import job_place
+from zoedepth.jobs.ray_engine import run_on_ray
+from zoedepth.jobs.run import Tally, run_job
+from zoedepth.jobs.shard import JobShard
+from zoedepth.jobs.work import Done
+from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
+
+REQUEST = Request("tiny", ("npy",))
+
+
+def on_ray(sources: Sources, out: Path, predictor: Predictor, **options: bool) -> tuple[list[Done], Tally]:
+    tally, place = Tally(), job_place(out, JobShard())
+    with place.opened() as manifest:
+        manifest.begin({}, named=False)
+        results = run_on_ray(
+            sources.inputs(), predictor, REQUEST, model="tiny", device="cpu", manifest=manifest,
+            destination=place.destination, workers=1, address="local", tally=tally, **options,
+        )  # fmt: skip
+        return list(results), tally
+
+
+def test_it_does_what_one_process_does(tmp_path: Path, tiny_model: ZoeDepth) -> None:
+    pytest.importorskip("ray", reason="the extra [ray] is not installed")
+    folder = write_photos(tmp_path / "in", 10)
+    (folder / "bad.png").write_bytes(b"no picture")
+    predictor, sources = Predictor(tiny_model, flip_average=False), Sources((str(folder),))
+    place, tally = job_place(tmp_path / "expected", JobShard()), Tally()
+    with place.opened() as manifest:
+        manifest.begin({}, named=False)
+        list(run_job(sources.inputs(), predictor, REQUEST, manifest=manifest, destination=place.destination, workers=1,
+                     tally=tally))  # fmt: skip
+    results, tally = on_ray(sources, tmp_path / "out", predictor)
+    assert (tally.done, tally.failed, len(results)) == (10, 1, 11)
+    found, expected = contents(tmp_path / "out"), contents(tmp_path / "expected")
+    assert found == expected
+    assert len(found) == 20
+    manifests = [{entry.input: entry.status for entry in entries(tmp_path / out / "zoedepth-manifest.jsonl")}
+                 for out in ("out", "expected")]  # fmt: skip
+    assert manifests[0] == manifests[1]
+    # What is done needs no cluster.
+    (folder / "bad.png").unlink()
+    results, tally = on_ray(sources, tmp_path / "out", predictor, tell_done=True)
+    assert (tally.before, tally.done) == (10, 0)
+    assert all(done.before for done in results)
+
+
+def test_members_of_compressed_tar_files_are_refused(tmp_path: Path, tiny_model: ZoeDepth) -> None:
+    pytest.importorskip("ray", reason="the extra [ray] is not installed")
+    write_photo(tmp_path / "a.png")
+    with tarfile.open(tmp_path / "a.tar.gz", "w:gz") as archive:
+        archive.add(tmp_path / "a.png", "a.png")
+    with pytest.raises(InputError, match=r"unpack it to \.tar"):
+        on_ray(Sources((str(tmp_path / "a.tar.gz"),)), tmp_path / "out", Predictor(tiny_model))
