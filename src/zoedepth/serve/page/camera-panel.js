@@ -5,7 +5,7 @@ import {byId, element} from "./dom.js";
 
 const DELAY = 250; // milliseconds that a moving slider must rest before the service is asked
 /** Who says the camera, in a few words. */
-export const SAYS = {exif: "from the photo", assumed: "a guess", given: "as you say"};
+export const SAYS = {exif: "from EXIF", assumed: "a guess", given: "as you say"};
 
 /** Dispatches "change" at once with each movement, and "settled" when the service should be asked. */
 export class CameraPanel extends EventTarget {

@@ -15,7 +15,9 @@ export function drawBar({bar, marks, text}, colormap, [near, far]) {
   context.putImageData(picture, 0, 0);
   marks.replaceChildren(...ticks(near, far, 6).map(({value, text: label}) => {
     const tick = element("span", {textContent: `${label} m`});
-    tick.style.left = `${Math.min(Math.max((value - near) / (far - near), 0.02), 0.97) * 100}%`;
+    const share = (value - near) / (far - near);
+    tick.style.left = `${share * 100}%`;
+    tick.className = share < 0.04 ? "first" : share > 0.96 ? "last" : ""; // no label goes beyond the bar
     return tick;
   }));
   text.textContent = `Colours from ${metres(near)}, near, to ${metres(far)}, far.`;

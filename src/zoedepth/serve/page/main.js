@@ -60,14 +60,24 @@ async function open(blob, name) {
   byId("domain").replaceChildren();
   showPoint(null);
   showCalibration();
+  byId("legend").hidden = true;
+  byId("unshown").hidden = true;
   byId("about").textContent = name;
   scene.otherPhoto = true;
   showSpace(null);
   byId("start").hidden = true;
   byId("work").hidden = false;
   byId("another").hidden = false;
-  viewer.show(picture, null, picture ? [picture.height, picture.width] : undefined);
+  viewer.show(picture, null, picture ? [picture.height, picture.width] : null);
   await ask();
+}
+
+/** Show what there was before there was a photo. */
+function chooseAnother() {
+  byId("work").hidden = true;
+  byId("another").hidden = true;
+  byId("start").hidden = false;
+  document.title = "ZoeDepth";
 }
 
 /** The upright picture in a file, or null where this browser cannot read its kind. */
@@ -100,13 +110,11 @@ function listenForPhotos() {
   }
   byId("another").addEventListener("click", () => {
     running?.abort();
-    byId("work").hidden = true;
-    byId("another").hidden = true;
-    byId("start").hidden = false;
-    document.title = "ZoeDepth";
+    chooseAnother();
     hideProblem();
     byId("choose").focus();
   });
+  byId("retry").addEventListener("click", () => ask());
   for (const button of document.querySelectorAll("[data-example]")) {
     button.addEventListener("click", () => guarded(async () => {
       const {example} = button.dataset;
@@ -167,8 +175,8 @@ async function ask() {
     showAnswer();
   } catch (error) {
     if (error.name === "AbortError") return;
-    showProblem(error);
     showLast();
+    showProblem(error);
   } finally {
     if (running === mine) {
       running = null;
@@ -185,6 +193,7 @@ function showLast() {
   showCalibration();
   if (!depth) {
     byId("place").textContent = "There is no depth of this photo.";
+    if (!state.photo.picture) chooseAnother(); // it may be no photo at all
     return;
   }
   depth.gain = 1;
@@ -229,6 +238,7 @@ async function guarded(action) {
   try {
     await action();
   } catch (error) {
+    if (!running) atRest();
     if (error.name !== "AbortError") showProblem(error);
   }
 }
@@ -238,6 +248,7 @@ function showProblem(error) {
     byId("token-form").hidden = false;
     byId("token").focus();
   }
+  byId("retry").hidden = ![0, 408, 429, 503].includes(error.status) || byId("work").hidden;
   byId("problem-title").textContent = error instanceof Problem ? `${error.title}.` : "Something went wrong in this page.";
   byId("problem-detail").textContent = error instanceof Problem ? error.detail : error.message;
   byId("problem").hidden = false;
@@ -257,8 +268,8 @@ function showAnswer() {
   showCalibration();
   const sure = facts.domain_probability?.[facts.domain];
   const scene = Object.keys(facts.domain_probability ?? {}).length > 1 ? `, ${facts.domain} (${Math.round(100 * sure)} %)` : "";
-  const unseen = photo.picture ? "" : ". This browser cannot show this kind of photo, but its depth";
-  byId("about").textContent = `${photo.name}, ${depth.width} × ${depth.height}${scene}${unseen}`;
+  byId("about").textContent = `${photo.name}, ${depth.width} × ${depth.height}${scene}`;
+  byId("unshown").hidden = photo.picture !== null;
   byId("confidence-label").hidden = !depth.std;
   showDepth();
   if (state.space) guarded(() => showSpace(state.space));
@@ -268,6 +279,7 @@ function showAnswer() {
 function showDepth() {
   const {depth} = state;
   if (!depth) return;
+  byId("legend").hidden = state.space !== null;
   const typed = (id) => byId(id).valueAsNumber > 0 || byId(id).value === "0" ? byId(id).valueAsNumber : undefined;
   const fixed = {near: typed("near"), far: typed("far")};
   const contrary = fixed.near >= fixed.far;
@@ -327,6 +339,8 @@ async function showSpace(kind) {
   byId("stage").hidden = !flat;
   byId("zoom-tools").hidden = !flat;
   byId("space").hidden = flat;
+  byId("reading").hidden = !flat;
+  byId("legend").hidden = !flat || !state.depth;
   if (flat || !state.depth) return;
   press(...kind === "cloud" ? [byId("show-cloud"), byId("show-surface")] : [byId("show-surface"), byId("show-cloud")]);
   const {depth, photo} = state;

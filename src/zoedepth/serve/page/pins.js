@@ -81,7 +81,7 @@ export class Pins extends EventTarget {
       const text = reading.valid ? metres(reading.depth) : "no depth here";
       if (i > 0) this.list.append(this.lengthRow(pin, number, length));
       this.list.append(this.pinRow(pin, i, reading, text));
-      pin.mark = element("div", {className: "mark"}, element("i"), element("span", {textContent: `${number}  ${text}`}));
+      pin.mark = element("div", {className: "mark"}, element("i"), element("span", {}, element("b", {textContent: number}), text));
       this.marks.append(pin.mark);
       if (i > 0) {
         pin.line = document.createElementNS("http://www.w3.org/2000/svg", "line");
@@ -97,9 +97,9 @@ export class Pins extends EventTarget {
 
   pinRow(pin, index, reading, text) {
     const number = index + 1;
-    const sure = reading.valid && reading.std !== null ? ` ± ${metres(reading.std)}` : "";
+    const sure = reading.valid && reading.std !== null ? `± ${metres(reading.std)}` : "";
     const value = element("div", {},
-      element("strong", {textContent: text}), document.createTextNode(sure),
+      element("strong", {textContent: text}), " ", element("em", {textContent: sure}),
       element("small", {textContent: `column ${pin.column}, row ${pin.row}`}));
     const remove = element("button", {type: "button", className: "plain small", textContent: "✕"});
     remove.setAttribute("aria-label", `Remove pin ${number}`);
@@ -111,7 +111,7 @@ export class Pins extends EventTarget {
   lengthRow(pin, number, length) {
     const value = element("div", {},
       element("strong", {textContent: length === null ? "–" : metres(length)}),
-      element("small", {textContent: `from ${number - 1} to ${number}; camera: ${SAYS[this.depth.camera.source]}`}));
+      element("small", {textContent: `${number - 1} to ${number}, camera: ${SAYS[this.depth.camera.source]}`}));
     const measured = this.field(pin, "length", `Measured metres from pin ${number - 1} to pin ${number}`, number - 1,
       length !== null);
     return element("li", {className: "length"}, element("span", {className: "number", textContent: "↕"}), value, measured,

@@ -26,6 +26,7 @@ export class Viewer extends EventTarget {
     this.splitter = splitter;
     this.photo = null;
     this.depth = null;
+    this.size = null; // height and width of the photo
     this.look = {colormap: "magma_r", range: [0, 1], confidence: null};
     this.scale = 1; // CSS pixels of one pixel of the photo
     this.left = 0; // CSS pixels from the corner of the stage to the corner of the photo
@@ -36,10 +37,17 @@ export class Viewer extends EventTarget {
     new ResizeObserver(() => this.resize()).observe(stage);
   }
 
-  /** Show a photo (a bitmap, or null where the browser cannot read it) with its depth; null while it is not known. */
+  /**
+   * Show a photo with its depth.
+   *
+   * @param {?ImageBitmap} photo null where the browser cannot read it
+   * @param {?Depth} depth null while it is not known
+   * @param {?number[]} size height and width; null while neither is there
+   */
   show(photo, depth, size) {
-    const other = !this.size || size[0] !== this.size[0] || size[1] !== this.size[1] || photo !== this.photo;
+    const other = photo !== this.photo || String(size) !== String(this.size);
     Object.assign(this, {photo, depth, size});
+    this.splitter.hidden = !photo || !depth;
     if (other) {
       this.cursor = null;
       this.fit();
@@ -75,7 +83,7 @@ export class Viewer extends EventTarget {
 
   /** True while not all of the photo is in the stage. */
   get enlarged() {
-    return this.size !== undefined && this.scale > this.smallest * 1.001;
+    return this.size !== null && this.scale > this.smallest * 1.001;
   }
 
   get smallest() {
@@ -231,11 +239,9 @@ export class Viewer extends EventTarget {
   down(event) {
     if (!this.size || event.target === this.splitter || event.button > 0) return;
     this.stage.setPointerCapture(event.pointerId);
-    this.stage.focus({preventScroll: true});
     this.pointers.set(event.pointerId, {x: event.clientX, y: event.clientY});
     this.still = this.pointers.size === 1 ? {x: event.clientX, y: event.clientY} : null;
     this.point(this.pixelAt(event.clientX, event.clientY));
-    event.preventDefault();
   }
 
   move(event) {
