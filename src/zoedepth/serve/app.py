@@ -79,7 +79,7 @@ def create_app(settings: Settings | None = None) -> Service:
     """Make the service as an ASGI application. The models are loaded when its lifespan begins.
 
     Args:
-        settings: what to serve, to whom, and within which limits; None takes the defaults.
+        settings: models, devices, clients and limits; None takes the defaults.
     """
     settings = settings or Settings()
     metrics = Metrics()

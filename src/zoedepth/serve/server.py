@@ -65,7 +65,7 @@ def run(service: Service, settings: Settings, listener: socket.socket, *, access
 
     Args:
         service: the application.
-        settings: what it was made of.
+        settings: the settings that it was made of.
         listener: a socket that listens, see ``bind``.
         access_log: True logs every request.
     """
@@ -76,7 +76,7 @@ def run_several(settings: Settings, listener: socket.socket, *, workers: int, ac
     """Serve in several processes, each with models and a queue of its own, until a signal ends it, as ``run`` does.
 
     Args:
-        settings: what is served. Cores are shared among the processes.
+        settings: the settings of the service. Cores are shared among the processes.
         listener: a socket that listens, see ``bind``.
         workers: the number of processes. One that dies is replaced.
         access_log: True logs every request.

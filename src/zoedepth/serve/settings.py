@@ -50,7 +50,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the service serves, to whom, and within which limits.
+    """Models, devices, clients and limits of the service.
 
     Raises:
         InputError: a value that makes no sense.
