@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_curl(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     for line in lines:
         words = shlex.split(line)[1:]
         path = next(word for word in words if word.startswith("http")).partition(":8000")[2]
-        given = dict(word.split("=", 1) for flag, word in zip(words, words[1:], strict=False) if flag == "-F")
+        given = dict(word.split("=", 1) for flag, word in pairwise(words) if flag == "-F")
         parts = {
             name: Path(value[1:]).read_bytes() if value.startswith("@") else value.encode()
             for name, value in given.items()

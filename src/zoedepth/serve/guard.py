@@ -37,7 +37,7 @@ PAGE_POLICY = "; ".join([
     "form-action 'none'",
     "frame-ancestors 'none'",
 ])  # fmt: skip
-"""What the page may load: its own files, and pictures and meshes that it made itself."""
+"""Things that the page may load: its own files, and pictures and meshes that it made itself."""
 
 HEADERS = {
     "content-security-policy": PAGE_POLICY,
