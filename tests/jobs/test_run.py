@@ -1,8 +1,11 @@
 """A job in this process: typed again, it does what is missing, failed or changed, and nothing twice."""
 
 import errno
+import multiprocessing
 import os
+import random
 import threading
+import time
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
@@ -103,6 +106,29 @@ def test_a_manifest_without_its_end_costs_a_photo_and_not_its_truth(folder: Path
     _, tally = run(folder, out=tmp_path / "out")
     assert (tally.done, tally.before) == (1, 3)
     assert contents(tmp_path / "out") == expected
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="the killed process is a fork of the test's")
+def test_killed_at_any_moment_it_gives_each_photo_once(tmp_path: Path) -> None:
+    """``python -m benchmarks.jobs kill`` does so with the whole command, 50 times."""
+    folder, out, rng = write_photos(tmp_path / "in", 12), tmp_path / "out", random.Random(0)
+    run(folder, out=tmp_path / "expected")
+    context = multiprocessing.get_context("fork")
+    for _ in range(8):
+        process = context.Process(target=run, args=(folder,), kwargs={"out": out})
+        process.start()
+        wanted = len(entries(out / MANIFEST)) + rng.randrange(3) if (out / MANIFEST).exists() else 1
+        while process.is_alive() and not ((out / MANIFEST).exists() and len(entries(out / MANIFEST)) >= wanted):
+            time.sleep(0.001)
+        time.sleep(rng.random() * 0.01)
+        process.kill()
+        process.join()
+    _, tally = run(folder, out=out)
+    assert (tally.seen, tally.failed) == (12, 0)
+    assert contents(out) == contents(tmp_path / "expected")
+    done = Counter(entry.input for entry in entries(out / MANIFEST))
+    assert set(done.values()) == {1}
+    assert len(done) == 12
 
 
 def test_drafts_of_a_killed_command_are_finished_or_taken_away(folder: Path, tmp_path: Path) -> None:
