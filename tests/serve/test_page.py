@@ -33,7 +33,7 @@ from zoedepth.serve.server import bind
 from zoedepth.serve.settings import Settings
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request
+    from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request, Route
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
 WIDTH, HEIGHT = 96, 72
@@ -263,6 +263,41 @@ def window_place(visit: Visit, column: float, row: float) -> tuple[float, float]
     )
 
 
+def tapped(visit: Visit, place: tuple[float, float]) -> tuple[int, int]:
+    """Tap on a place of the window; return the column and the row that the page says."""
+    visit.page.touchscreen.tap(*place)
+    found = re.match(r"column (\d+), row (\d+)", visit.text("#place"))
+    assert found, visit.text("#place")
+    return int(found[1]), int(found[2])
+
+
+def pinch(visit: Visit, middle: tuple[float, float], *, from_apart: float, to_apart: float) -> None:
+    """Move two fingers apart, or together, about a place of the window."""
+    session = visit.page.context.new_cdp_session(visit.page)
+
+    def touch(kind: str, apart: float | None) -> None:
+        fingers = [] if apart is None else [-apart / 2, apart / 2]
+        points = [{"x": middle[0] + aside, "y": middle[1], "id": i} for i, aside in enumerate(fingers)]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", from_apart)
+    for share in (0.25, 0.5, 0.75, 1.0):
+        touch("touchMove", from_apart + share * (to_apart - from_apart))
+    touch("touchEnd", None)
+
+
+GIVES = """
+  async ([kind, numbers]) => {
+    const file = new File([new Uint8Array(numbers)], `${kind}.png`, {type: "image/png"}), data = new DataTransfer();
+    data.items.add(file);
+    document.body.dispatchEvent(kind === "paste"
+      ? new ClipboardEvent("paste", {clipboardData: data, bubbles: true, cancelable: true})
+      : new DragEvent("drop", {dataTransfer: data, bubbles: true, cancelable: true}));
+  }
+"""
+"""Drops or pastes a file."""
+
+
 @needs_browser
 class TestPage:
     def test_reads_what_is_under_the_pointer_at_three_zooms(self, visit: Visit, service: Service) -> None:
@@ -304,6 +339,16 @@ class TestPage:
                     assert colored[y, x, 0] in (116, 172)
             columns = [column for column, _ in pixels]
             sizes.append((zoom, max(columns) - min(columns)))
+            if zoom == 1:  # so long is a metre at the depth of the last pixel
+                ruler = re.match(r"(\d+) (m|cm|mm) across", visit.text("#ruler"))
+                bar = visit.page.locator("#ruler b").bounding_box()
+                assert ruler
+                assert bar
+                length = int(ruler[1]) * {"m": 1, "cm": 0.01, "mm": 0.001}[ruler[2]]
+                _, _, width, height = visit.stage()
+                pixels_across = bar["width"] / min(width / WIDTH, height / HEIGHT)
+                away = depth[pixels[-1][1], pixels[-1][0]] if valid[pixels[-1][1], pixels[-1][0]] else np.median(depth)
+                assert length == pytest.approx(pixels_across * away / arrays["intrinsics"][0, 0], rel=0.03)
         spans = [span for _, span in sizes]
         assert spans[0] > 1.8 * spans[1] > 3 * spans[2] > 0, "it was enlarged"
 
@@ -442,6 +487,12 @@ class TestPage:
         assert in_metres(phone.text("#value")) == pytest.approx(value, abs=rounded_to(value))
         assert in_metres(phone.text("#pins li")) == pytest.approx(value, abs=rounded_to(value))
         assert phone.page.evaluate("document.documentElement.scrollWidth") == 360
+        [middle, aside] = phone.places((0.5, 0.5), (0.7, 0.5))
+        before = [tapped(phone, place) for place in (middle, aside)]
+        pinch(phone, middle, from_apart=80, to_apart=160)
+        after = [tapped(phone, place) for place in (middle, aside)]
+        assert after[0] == before[0], "what is between the fingers stays there"
+        assert after[1][0] - after[0][0] == pytest.approx((before[1][0] - before[0][0]) / 2, abs=1)
         hidden = phone.page.evaluate(
             """[...document.querySelectorAll('button, select, input:not(.unseen):not(#splitter)')].filter((part) => {
                  const box = part.getBoundingClientRect();
@@ -501,6 +552,56 @@ class TestPage:
         refused = [text for text in visit.complaints if "Failed to load resource" in text]  # browsers note each refusal
         assert len(refused) == len(bad)
         visit.complaints[:] = [text for text in visit.complaints if text not in refused]
+
+    def test_paints_over_what_the_model_is_unsure_of(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        arrays = service.arrays()
+        confidence = np.where(arrays["valid"], arrays["confidence"], np.nan)
+        visit.split(0)
+        visit.page.check("#confidence")
+        assert visit.page.is_visible("#unsure-chip")
+        picture = visit.picture().astype(int)
+        left, top, *_ = visit.stage()
+        colors = []
+        for index in (np.nanargmin(confidence), np.nanargmax(confidence)):
+            row, column = np.unravel_index(index, confidence.shape)
+            x, y = window_place(visit, column, row)
+            colors.append(picture[int(y - round(top)), int(x - round(left))])
+        # Turquoise where it is least sure, and the map's own colour, which has little of it, where it is most.
+        assert np.abs(colors[0] - (0, 214, 200)).max() < 30
+        assert np.abs(colors[1] - (0, 214, 200)).max() > 100
+
+    def test_takes_photos_by_drop_and_paste(self, visit: Visit) -> None:
+        for kind in ("drop", "paste"):
+            visit.page.evaluate(GIVES, [kind, list(PHOTO)])
+            visit.page.wait_for_selector(f"#about:has-text('{kind}.png, {WIDTH} × {HEIGHT}')", state="attached")
+            visit.settled()
+
+    def test_asks_for_the_token_and_says_when_nobody_answers(self, visit: Visit) -> None:
+        def guard(route: "Route") -> None:
+            if route.request.headers.get("authorization") == "Bearer of the tests":
+                route.fallback()
+            else:
+                problem = {"title": "The service asks for a token", "detail": "Give it.", "status": 401}
+                route.fulfill(status=401, json=problem)
+
+        visit.page.route("**/v1/*", guard)
+        visit.page.reload()
+        visit.page.fill("#token", "of the tests")
+        visit.page.keyboard.press("Enter")
+        visit.page.wait_for_selector("#token-form", state="hidden")
+        visit.page.wait_for_selector("#model option", state="attached")
+        visit.page.route("**/v1/depth*", lambda route: route.abort())
+        visit.upload()
+        assert "The service does not answer" in visit.text("#problem")
+        visit.page.unroute("**/v1/depth*")
+        visit.page.click("#retry")
+        visit.settled()
+        assert f"{WIDTH} × {HEIGHT}" in visit.text("#about")
+        assert not visit.page.is_visible("#problem")
+        visit.page.unroute("**/v1/*")
+        assert len(visit.complaints) == 2, "browsers note what was refused"
+        visit.complaints.clear()
 
     def test_says_the_same_call_for_programs(self, visit: Visit, service: Service) -> None:
         visit.upload("a photo's.png")
