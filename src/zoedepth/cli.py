@@ -102,6 +102,12 @@ def _reproduce() -> Function:
     return reproduce
 
 
+def _verify() -> Function:
+    from zoedepth.commands.verify import verify
+
+    return verify
+
+
 def _data() -> Function:
     from zoedepth.commands.data import data
 
@@ -177,6 +183,7 @@ COMMANDS = {
         _reproduce,
         ("table", "data", "out", "small", "seeds", "shard", "show"),
     ),
+    "verify": Command("compare the released weights with the paper's numbers, on the official data", _verify),
     "data": Command("list the published data sets, check a download, write shards", _data, reads_itself=True),
     "models": Command("list the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),

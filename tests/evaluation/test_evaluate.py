@@ -230,3 +230,20 @@ def test_example_of_the_documentation_runs(
     exec(second, names)
     found = names["evaluate"]({"two metres": names["TwoMetres"]()}, names["sets"])
     assert found.complete
+
+
+def test_photos_are_shown_side_by_side_and_mri_stands_in_the_report(tmp_path: Path) -> None:
+    sources = {"ours": FactorSource(FACTORS), "theirs": FactorSource({"0.jpg": 1.5}, broken=["3.jpg"])}
+    found = evaluate(sources, {"rooms": evaluation_set(4)}, folder=tmp_path, compare=2)
+    assert found.pictures["rooms"] == [(found.pictures["rooms"][0][0], tmp_path / "rooms-compared.png")]
+    with Image.open(tmp_path / "rooms-compared.png") as sheet:
+        assert sheet.format == "PNG"
+    found.write_report(tmp_path, reference="theirs")
+    text = (tmp_path / "report.md").read_text()
+    assert "rooms-compared.png" in text
+    assert "## All data" in text
+    assert "Mean relative improvement over theirs" in text
+    with pytest.raises(InputError, match="pictures need a folder"):
+        evaluate(sources, SETS, compare=1)
+    with pytest.raises(InputError, match="compare is -1"):
+        evaluate(sources, SETS, folder=tmp_path / "new", compare=-1)

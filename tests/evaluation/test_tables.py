@@ -6,6 +6,7 @@ from decimal import Decimal
 
 import pytest
 
+from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, find_protocol
 from zoedepth.evaluation.summary import Summary
 from zoedepth.evaluation.tables import (
@@ -13,6 +14,7 @@ from zoedepth.evaluation.tables import (
     NOT_RUN,
     ReportTable,
     extras_table,
+    mri_table,
     ranges_table,
     report_tables,
     results_table,
@@ -239,3 +241,34 @@ def test_latex_has_bold_best_and_escaped_special_characters() -> None:
     assert r"\caption{a\_b: 100 \% \& more}" in lines
     for mark in (r"\toprule", r"\midrule", r"\bottomrule", r"\begin{table}[t]", r"\end{tabular}", r"\end{table}"):
         assert lines.count(mark) == 1
+
+
+# ---------------------------------------------------------------------------------------------------- mRI
+
+
+def scored(source: str, data: str, rel: float, *, delta1: float = 0.5) -> Summary:
+    metrics = Metrics(*([1.0] * len(dataclasses.fields(Metrics))))
+    return replace(SUMMARY, source=source, data=data, metrics=replace(metrics, rel=rel, rmse=2.0, delta1=delta1))
+
+
+def test_mean_relative_improvement_is_over_a_source_on_each_data_set_and_over_all() -> None:
+    table = mri_table(
+        [
+            scored("old", "a", 0.2),
+            scored("new", "a", 0.1, delta1=0.6),
+            scored("old", "b", 0.1),
+            scored("new", "b", 0.12),
+        ],
+        "old",
+    )
+    assert table.header == ("source", "mRI_theta a", "mRI_theta b", "mRI_D")
+    # On a: REL +50 %, delta1 +20 %, RMSE the same. On b: REL -20 %. REL over both: (50 - 20) / 2.
+    assert table.rows == (("old", "+0.0", "+0.0", "+0.0"), ("new", "+23.3", "-6.7", "+15.0"))
+
+
+def test_mean_relative_improvement_needs_numbers_and_a_reference() -> None:
+    summaries = [scored("old", "a", 0.2, delta1=0.0), scored("new", "a", 0.1), replace(SUMMARY, source="new", data="b")]
+    table = mri_table(summaries, "old")
+    assert table.rows[1] == ("new", "-", NOT_RUN, NOT_RUN)  # of a delta1 of 0 there is no percentage
+    with pytest.raises(InputError, match=r"'older', which is not scored: give one of \['old', 'new'\]"):
+        mri_table(summaries, "older")

@@ -46,6 +46,8 @@ def evaluate(
     compat: tuple[str, ...] = (),
     out: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
     pictures: bool = True,
+    compare: int = 0,
+    mri: str | None = None,
     with_paper: Literal["best", "all"] | None = None,
     device: str = "auto",
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
@@ -86,6 +88,10 @@ def evaluate(
         compat: behaviours of the original code to take over: batch-vote, 10m.
         out: folder for scores (JSONL), tables (Markdown, HTML, LaTeX, JSON), pictures and plots.
         pictures: make the pictures and plots, too.
+        compare: number of photos of each data set to show with all models side by side, as the paper's figures do:
+            photo, truth, depths, squared errors. Needs --out.
+        mri: label of a model or folder; adds the mean relative improvements over it (mRI_theta on each data set, mRI_D
+            over all), as in the paper's tables.
         with_paper: add the paper's numbers on these data sets, sorted by REL. best: its best, and those of the models
             that are scored. all: all of them.
         device: cpu, cuda, mps, or auto for the best there is.
@@ -101,6 +107,8 @@ def evaluate(
 
     console = Console(stderr=True, highlight=False)
     pictures = pictures and out is not None
+    if compare and out is None:
+        raise InputError("--compare makes pictures: give --out, the folder for them")
     if pictures:
         require_matplotlib()  # said before models are fetched
     if out is not None:
@@ -120,11 +128,15 @@ def evaluate(
         name: open_evaluation_set(source, name=name, protocol=chosen[name], changes=changes, root=root)
         for name, source in given.items()
     }
+    sources = _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device)
+    if mri is not None and mri not in sources:
+        raise InputError(f"--mri is {mri!r}, which is not scored: give one of {', '.join(sources)}")
     found = score_all(
-        _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device),
+        sources,
         sets,
         folder=out,
         pictures=pictures,
+        compare=compare,
         track=lambda indices, description: _track(console, indices, description),
         on_failure=lambda message: console.print(f"failed: {message}", soft_wrap=True, markup=False),
         on_note=lambda message: console.print(f"note: {message}", soft_wrap=True, markup=False),
@@ -135,10 +147,11 @@ def evaluate(
         for summary in found.summaries:
             print(to_json(_record(summary)))
     else:
-        for table in found.tables(with_paper=with_paper):
+        for table in found.tables(with_paper=with_paper, reference=mri):
             print_table(table)
     if out is not None:
-        found.write_report(out, command=shlex.join(["zoedepth", *sys.argv[1:]]), with_paper=with_paper)
+        command = shlex.join(["zoedepth", *sys.argv[1:]])
+        found.write_report(out, command=command, with_paper=with_paper, reference=mri)
         console.print(f"Report: {out / 'report.md'}, .html, .tex, .json", soft_wrap=True)
     return 0 if found.complete else 1
 

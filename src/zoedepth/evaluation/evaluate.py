@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from zoedepth.errors import InputError
+from zoedepth.evaluation.comparison import compared
 from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
 from zoedepth.evaluation.evaluation_set import EvaluationSet
 from zoedepth.evaluation.out_folder import REPORTS, check_folder
@@ -17,7 +18,7 @@ from zoedepth.evaluation.report import error_by_depth, examples, require_matplot
 from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score
 from zoedepth.evaluation.summary import Summary, summarise
-from zoedepth.evaluation.tables import ReportTable, report_tables
+from zoedepth.evaluation.tables import ReportTable, mri_table, report_tables
 
 _N_DOUBTED = 16  # photos that are looked at for one with a prediction
 
@@ -40,19 +41,31 @@ class Evaluation:
         """True where no image failed and every data set had a pixel to score."""
         return all(not summary.n_failed and summary.metrics is not None for summary in self.summaries)
 
-    def tables(self, *, with_paper: Literal["best", "all"] | None = None) -> list[ReportTable]:
+    def tables(
+        self, *, with_paper: Literal["best", "all"] | None = None, reference: str | None = None
+    ) -> list[ReportTable]:
         """Set the numbers in tables: for each data set the metrics, further measures, and REL by true depth.
 
         Args:
             with_paper: add rows that the paper has on a data set of this name, and sort all by REL. best: its best
                 row, and those of the models that are scored here. all: every row.
+            reference: label of a source; adds a table of the mean relative improvements over it, mRI.
+
+        Raises:
+            InputError: no source has that label.
         """
         names = {summary.data for summary in self.summaries}
         paper = {name: method_rows(name) for name in names} if with_paper else {}
-        return report_tables(self.summaries, paper, best_only=with_paper == "best")
+        found = report_tables(self.summaries, paper, best_only=with_paper == "best")
+        return found if reference is None else [*found, mri_table(self.summaries, reference)]
 
     def write_report(
-        self, folder: Path, *, command: str = "", with_paper: Literal["best", "all"] | None = None
+        self,
+        folder: Path,
+        *,
+        command: str = "",
+        with_paper: Literal["best", "all"] | None = None,
+        reference: str | None = None,
     ) -> None:
         """Write ``report.md``, ``report.html``, ``report.tex`` and ``report.json``, each whole or not at all.
 
@@ -61,10 +74,10 @@ class Evaluation:
         Args:
             folder: the one that was given to ``evaluate``, so that the pictures are found in it.
             command: how the evaluation was started; the report quotes it.
-            with_paper: see ``tables``.
+            with_paper, reference: see ``tables``.
         """
         if self.processes.rank == 0:
-            tables = self.tables(with_paper=with_paper)
+            tables = self.tables(with_paper=with_paper, reference=reference)
             write_report(folder, self.summaries, tables, command=command, pictures=self.pictures)
 
 
@@ -74,6 +87,7 @@ def evaluate(
     *,
     folder: Path | None = None,
     pictures: bool = False,
+    compare: int = 0,
     track: Callable[[list[int], str], Iterable[int]] | None = None,
     on_failure: Callable[[str], None] | None = None,
     on_note: Callable[[str], None] | None = None,
@@ -89,6 +103,7 @@ def evaluate(
         data: name → photos with depth and their protocols.
         folder: where the scores are kept, and the pictures; None keeps none.
         pictures: make pictures of the best, the median and the worst image, and plots of the error by depth.
+        compare: number of photos of each data set, spread evenly over it, that are shown with all sources side by side.
         track: receives the numbers of the images to score and a description, and yields the numbers, to show progress.
         on_failure: receives a message for each image that fails and each data set that has no pixel to score. The
             others are scored nevertheless.
@@ -96,17 +111,20 @@ def evaluate(
 
     Raises:
         InputError: the folder cannot be written to, or holds something else; the depth maps of a ``FolderSource`` are
-            not what they are taken for; or pictures or several processes without a folder.
+            not what they are taken for; or pictures, a comparison or several processes without a folder.
         MissingExtraError: pictures without matplotlib.
     """
     processes = _meet_others(folder)
-    if pictures and folder is None:
-        raise InputError("pictures need a folder to be written to: give one, or pictures=False")
+    if (pictures or compare) and folder is None:
+        raise InputError("pictures need a folder to be written to: give one, or pictures=False and compare=0")
+    if compare < 0:
+        raise InputError(f"compare is {compare}: give the number of photos to show, or 0")
     if pictures:
         require_matplotlib()
     if folder is not None and processes.rank == 0:
         plots = [_plot_name(name) for name in data] if pictures else []
-        check_folder(folder, [*REPORTS, *plots])
+        sheets = [_sheet_name(name) for name in data] if compare else []
+        check_folder(folder, [*REPORTS, *plots, *sheets])
     kept = _open_scores(sources, data, folder)
     summaries: list[Summary] = []
     failures: list[str] = []
@@ -126,6 +144,7 @@ def evaluate(
             if isinstance(source, FolderSource) and (odd := _doubt(source, each)):
                 note(odd)
     for name, each in data.items():
+        shared = set(range(len(each.dataset)))  # photos that all sources have a score of
         for label, source in sources.items():
             files = kept.get((label, name))
             found = score_dataset(
@@ -144,6 +163,7 @@ def evaluate(
             for failure in found.failures:
                 fail(f"{name}, {failure}")
             scores = _scores_of_all(found.scores, files, processes)
+            shared &= {index for index, score in scores.items() if score.sums is not None}
             n_failed = len(each.dataset) - len(scores)
             summary = summarise(
                 label,
@@ -162,6 +182,12 @@ def evaluate(
                     write_picture(files.folder / "examples.png", sheet)
                     caption = f"{label}: best, median and worst image by REL"
                     shown.setdefault(name, []).append((caption, files.folder / "examples.png"))
+        if processes.rank == 0 and compare and folder is not None and shared:
+            path = folder / _sheet_name(name)
+            chosen = _spread_evenly(sorted(shared), compare)
+            write_picture(path, compared(sources, each.dataset, chosen, each.protocols))
+            caption = "Depth and squared error (blue: none, red: most), side by side; grey: unknown or not scored"
+            shown.setdefault(name, []).append((caption, path))
     if processes.rank == 0 and pictures and folder is not None:
         for name in dict.fromkeys(summary.data for summary in summaries):
             path = folder / _plot_name(name)
@@ -177,6 +203,16 @@ def folder_name(text: str) -> str:
 
 def _plot_name(data: str) -> str:
     return f"{folder_name(data)}-error-by-depth.png"
+
+
+def _sheet_name(data: str) -> str:
+    return f"{folder_name(data)}-compared.png"
+
+
+def _spread_evenly(indices: list[int], n: int) -> list[int]:
+    """Return at most n of the numbers, spread evenly."""
+    n = min(n, len(indices))
+    return [indices[(2 * i + 1) * len(indices) // (2 * n)] for i in range(n)]
 
 
 def _track(

@@ -14,6 +14,7 @@ from zoedepth.alignment import resize_depth
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import MissingExtraError
+from zoedepth.evaluation.pixels import spread_values
 from zoedepth.evaluation.predictions import PredictionSource, predict
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.scoring import RANGES, Score, aligned_depth, scored_pixels
@@ -71,6 +72,10 @@ def write_report(
             page.append(
                 f'<figure><figcaption>{escape(caption)}</figcaption><img src="{link}" alt="{escape(caption)}"></figure>'
             )
+    of_all = [table for table in tables if not any(table.title.startswith(f"{s.data}: ") for s in summaries)]
+    if of_all:
+        parts += ["## All data", *(table.markdown() for table in of_all)]
+        page += ["<h2>All data</h2>", *(table.html() for table in of_all)]
     _write(folder / "report.md", "\n\n".join(parts) + "\n")
     _write(folder / "report.html", _PAGE.replace("BODY", "\n".join(filter(None, page))))
     _write(folder / "report.tex", "\n".join(table.latex() for table in tables))
@@ -168,11 +173,12 @@ def _panels(example: _Example, *, vmin: float, vmax: float) -> list[list[ImageAr
     depth_bar = color_bar(frame[0], vmin=vmin, vmax=vmax)
     error_bar = color_bar(frame[0], vmin=-ERROR_LIMIT, vmax=ERROR_LIMIT, colormap="Spectral_r", unit="%")
     predicted = colorize(resize_depth(example.depth, size), vmin=vmin, vmax=vmax)
+    measured = colorize(spread_values(known, size), vmin=vmin, vmax=vmax)
     four = [
         panel(to_image(example.sample.image), size=frame, caption=f"{example.caption}, {example.sample.name}"[:48]),
-        panel(colorize(_spread(known, size), vmin=vmin, vmax=vmax), size=frame, caption="measured (grey: unknown)"),
+        panel(measured, size=frame, caption="measured (grey: unknown)"),
         panel(predicted, size=frame, bar=depth_bar, caption="predicted"),
-        panel(_colored_error(_spread(error, size)), size=frame, bar=error_bar, caption="error (red: too far)"),
+        panel(_colored_error(spread_values(error, size)), size=frame, bar=error_bar, caption="error (red: too far)"),
     ]
     return [[four[0], four[2]], [four[1], four[3]]] if wide else [four]
 
@@ -234,21 +240,6 @@ def _colored_error(error: np.ndarray) -> ImageArray:
     # colorize shows values that are not positive as unknown, so errors are shifted: no error is the middle colour.
     shifted = np.where(np.isfinite(error), error.clip(-ERROR_LIMIT, ERROR_LIMIT) + ERROR_LIMIT + 1, 0)
     return colorize(shifted, vmin=1.0, vmax=2 * ERROR_LIMIT + 1, colormap="Spectral_r")
-
-
-def _spread(x: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Resize by repeating or dropping values, without mixing them. Points of sparse truth grow, to be seen."""
-    valid = np.isfinite(x)
-    if valid.mean() < 0.3:  # sparse lidar
-        for _ in range(2):
-            for shift, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
-                moved, there = np.roll(x, shift, axis), np.roll(valid, shift, axis)
-                np.moveaxis(there, axis, 0)[0 if shift == 1 else -1] = False  # nothing wraps around to the other border
-                x = np.where(valid, x, np.where(there, moved, x))
-                valid = valid | there
-    rows = np.arange(size[0]) * x.shape[0] // size[0]
-    columns = np.arange(size[1]) * x.shape[1] // size[1]
-    return x[rows][:, columns]
 
 
 def _write(path: Path, text: str) -> None:

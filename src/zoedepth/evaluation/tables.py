@@ -1,12 +1,14 @@
 """Set summaries in tables: metrics, further measures, and errors by depth; as Markdown and LaTeX."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from itertools import pairwise
 from typing import NamedTuple
 
+from zoedepth.errors import InputError
+from zoedepth.evaluation.improvement import mri_datasets, mri_metrics
 from zoedepth.evaluation.protocols import PROTOCOLS
 from zoedepth.evaluation.scoring import RANGES
 from zoedepth.evaluation.summary import Summary
@@ -220,6 +222,54 @@ def ranges_table(summaries: Sequence[Summary], data: str) -> ReportTable:
         cells = (f"{summary.ranges[name]['rel']:.3f}" if name in summary.ranges else "-" for name in names)
         rows.append((summary.source, *cells))
     return ReportTable(f"{data}: REL by true depth, pooled over pixels", ("metres", *names), tuple(rows), data=data)
+
+
+def mri_table(summaries: Sequence[Summary], reference: str) -> ReportTable:
+    """Set the mean relative improvements over a source, percent: mRI_theta on each data set, mRI_D over all of them.
+
+    mRI_theta is over delta1, REL and RMSE of a data set, mRI_D over the REL of the data sets (paper section 4.3).
+
+    Args:
+        summaries: one for each source on each data set.
+        reference: label of the source that the others are compared with.
+
+    Raises:
+        InputError: no source has that label.
+    """
+    labels = list(dict.fromkeys(summary.source for summary in summaries))
+    if reference not in labels:
+        raise InputError(f"the reference of mRI is {reference!r}, which is not scored: give one of {labels}")
+    names = list(dict.fromkeys(summary.data for summary in summaries))
+    metrics = {(s.source, s.data): asdict(s.metrics) for s in summaries if s.metrics is not None}
+    rows = []
+    for label in labels:
+        cells = [_mri(mri_metrics, metrics.get((label, name)), metrics.get((reference, name))) for name in names]
+        mine, theirs = (
+            {name: metrics[source, name]["rel"] for name in names if (source, name) in metrics}
+            for source in (label, reference)
+        )
+        complete = len(mine) == len(theirs) == len(names)
+        rows.append((label, *cells, _mri(mri_datasets, mine, theirs) if complete else NOT_RUN))
+    header = ("source", *(f"mRI_theta {name}" for name in names), "mRI_D")
+    note = (
+        "mRI_theta: mean improvement of delta1, REL and RMSE on a data set; mRI_D: of REL, mean over the data sets. "
+        "Both are in percent of the reference; more is better."
+    )
+    return ReportTable(f"Mean relative improvement over {reference}, %", header, tuple(rows), note=note)
+
+
+def _mri(
+    mean: Callable[[Mapping[str, float], Mapping[str, float]], float],
+    mine: Mapping[str, float] | None,
+    reference: Mapping[str, float] | None,
+) -> str:
+    """Return a mean relative improvement; a dash where the reference's score is 0, so that it has no percentage."""
+    if mine is None or reference is None:
+        return NOT_RUN
+    try:
+        return f"{mean(mine, reference):+.1f}"
+    except InputError:
+        return "-"
 
 
 def _number(name: str, value: float) -> str:
