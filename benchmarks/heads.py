@@ -23,6 +23,10 @@ from zoedepth.weights.load import load_model
 SYSTEMS: dict[str, tuple[str, list[str]]] = {
     "attractor (zoed-lite's values)": ("comparison", []),
     "attractor (the paper's values)": ("comparison", [
+        "--config.model.head.n-bins", "64", "--config.model.head.alpha", "300",
+        "--config.model.head.initial-centers", "random",
+    ]),
+    "attractor (the paper's values, the sum of the pulls)": ("comparison", [
         "--config.model.head.n-bins", "64", "--config.model.head.reduce", "sum", "--config.model.head.alpha", "300",
         "--config.model.head.initial-centers", "random",
     ]),

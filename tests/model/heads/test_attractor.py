@@ -7,7 +7,7 @@ import torch
 from tests.model.heads.base import CHANNELS, DOMAIN, HeadTester, build_head, decoder_features
 
 from zoedepth.config import AttractorConfig
-from zoedepth.model.heads.attractor import AttractorHead, AttractorLayer, normed_centers
+from zoedepth.model.heads.attractor import AttractorHead, AttractorLayer, attract, normed_centers
 
 TINY = AttractorConfig(
     n_bins=6, n_attractors=(4, 3, 2, 1), embedding_width=8, projector_width=8, seed_width=8, max_temperature=5.0
@@ -159,6 +159,22 @@ def test_normed_centers_by_hand():
     for level in levels:
         expected = [c + sum((a - c) / (1 + 2 * (a - c) ** 2) for a in level) / 2 for c in expected]
     assert found.flatten().tolist() == pytest.approx([0.5 + 7.5 * c for c in expected], abs=1e-5)
+
+
+def test_mean_of_pulls_contracts_and_a_sum_does_not():
+    """Sixteen attractors at 1 m: with a mean no center goes past them, and none overtakes another."""
+    centers = torch.linspace(0.9, 1.1, 201).view(1, -1, 1, 1)
+    moved = {
+        reduce: attract(
+            centers, torch.ones(1, 16, 1, 1), kind="inverse", reduce=reduce, alpha=300.0, gamma=2.0
+        ).flatten()
+        for reduce in ("mean", "sum")
+    }
+    assert (moved["mean"] - 1).abs().max() < 0.1
+    assert (moved["mean"].diff() > 0).all()
+    assert (moved["sum"] - 1).abs().max() > 0.4
+    assert (moved["sum"].diff() < 0).any()
+    assert AttractorConfig().reduce == "mean"
 
 
 def test_only_a_sum_of_pulls_is_kept_from_below_the_nearest_depth():
