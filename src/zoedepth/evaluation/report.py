@@ -72,7 +72,7 @@ def write_report(
             page.append(
                 f'<figure><figcaption>{escape(caption)}</figcaption><img src="{link}" alt="{escape(caption)}"></figure>'
             )
-    of_all = [table for table in tables if not any(table.title.startswith(f"{s.data}: ") for s in summaries)]
+    of_all = [table for table in tables if not table.data]
     if of_all:
         parts += ["## All data", *(table.markdown() for table in of_all)]
         page += ["<h2>All data</h2>", *(table.html() for table in of_all)]
