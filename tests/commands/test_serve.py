@@ -60,7 +60,7 @@ def serve_and(play: Callable[[int], None], *options: str, end: signal.Signals = 
 
     def client() -> None:
         try:
-            deadline = time.monotonic() + 60
+            deadline = time.monotonic() + 300
             while True:
                 try:
                     if ask(port, "/readyz")[0] == 200:

@@ -14,7 +14,7 @@ schemathesis = pytest.importorskip("schemathesis")
 
 # A photo with nothing in it, and a point outside of it, are refused in words: a schema cannot tell them apart.
 REFUSED = ["2xx", "413", "415", "422"]
-ROUNDS = {"POST": 12, "GET": 2}
+ROUNDS = {"POST": 6, "GET": 2}
 
 
 @pytest.fixture(scope="module")

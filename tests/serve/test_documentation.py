@@ -45,7 +45,7 @@ def test_every_option_that_is_told_is_one(capsys: pytest.CaptureFixture[str]) ->
 
 def test_curl(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("photo.jpg").write_bytes(photo(640, 480, format="JPEG"))
+    Path("photo.jpg").write_bytes(photo(544, 244, format="JPEG"))
     lines = [line for block in blocks("bash") for line in block.splitlines() if line.startswith("curl ")]
     assert len(lines) == 5
     for line in lines:

@@ -3,6 +3,7 @@ import socket
 import pytest
 
 from zoedepth.errors import InputError
+from zoedepth.serve.app import create_app
 from zoedepth.serve.protocol import PatientProtocol
 from zoedepth.serve.server import bind, make_config
 from zoedepth.serve.settings import Limits, Settings
@@ -30,8 +31,9 @@ def test_a_port_that_is_none_is_refused(port: int) -> None:
 
 
 def test_the_server_trusts_no_header_and_says_nothing_about_itself() -> None:
-    config = make_config(None, Settings(limits=Limits(grace=7)))
-    assert config.http is PatientProtocol
+    config = make_config(create_app(), Settings(limits=Limits(grace=7)))
+    config.load()
+    assert config.http_protocol_class is PatientProtocol
     assert not config.proxy_headers
     assert not config.server_header
     assert config.timeout_graceful_shutdown == 7

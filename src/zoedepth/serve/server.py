@@ -1,13 +1,13 @@
 """The process or processes that serve: uvicorn, a socket, and the end of it all."""
 
+import json
 import os
 import signal
 import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from functools import partial
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -16,11 +16,11 @@ from uvicorn.config import LOGGING_CONFIG
 from uvicorn.supervisors import Multiprocess
 
 from zoedepth.batch import cpu_count
+from zoedepth.config import from_dict
 from zoedepth.errors import InputError
 from zoedepth.serve.answers import memory_folder
 from zoedepth.serve.app import Service, create_app
 from zoedepth.serve.metrics import FOLDER_VARIABLE
-from zoedepth.serve.protocol import PatientProtocol
 from zoedepth.serve.settings import Settings
 from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import find
@@ -28,6 +28,8 @@ from zoedepth.weights.load import find
 _BACKLOG = 2048
 _MAX_HEAD = 32_768  # bytes of the head of a request
 _KEEP_ALIVE = 5  # seconds
+_APPLICATION = "zoedepth.serve.server:application"
+_TOLD = "ZOEDEPTH_SERVE"  # variable of the environment
 # What hostile clients send shall not fill the log.
 _LOGS = LOGGING_CONFIG | {"loggers": LOGGING_CONFIG["loggers"] | {"python_multipart": {"level": "ERROR"}}}
 
@@ -89,9 +91,9 @@ def run_several(settings: Settings, listener: socket.socket, *, workers: int, ac
             find(source)  # downloaded once, and not by all of them
     settings = replace(settings, threads=settings.threads or max(1, cpu_count() // workers))
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    with _numbers_together():
-        application = partial(_application, settings, workers)
-        processes = _Processes(make_config(application, settings, workers=workers, access_log=access_log), [listener])
+    with _told_to_processes(settings, workers):
+        config = make_config(_APPLICATION, settings, workers=workers, access_log=access_log)
+        processes = _Processes(config, [listener])
         processes.run()
     for number, handler in before.items():
         signal.signal(number, handler)
@@ -112,7 +114,7 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
     """Return how uvicorn is to serve.
 
     Args:
-        app: the application; with several processes, a function that makes it.
+        app: the application; with several processes, the name of a function that makes it.
         settings: the settings of the service.
         workers: the number of processes.
         access_log: True logs every request.
@@ -121,7 +123,7 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
         app,
         factory=workers > 1,
         loop="asyncio",
-        http=PatientProtocol,
+        http="zoedepth.serve.protocol:PatientProtocol",
         ws="none",
         lifespan="on",
         workers=workers,
@@ -138,18 +140,25 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
     )
 
 
-def _application(settings: Settings, workers: int) -> Service:
-    """Make the application in one process of several."""
-    torch.set_num_threads(max(1, cpu_count() // (workers * (settings.threads or 1))))
+def application() -> Service:
+    """Make the application in one process of several, as ``run_several`` tells it by the environment."""
+    told = json.loads(os.environ[_TOLD])
+    settings = from_dict(Settings, told["settings"], where=_TOLD)
+    torch.set_num_threads(max(1, cpu_count() // (told["workers"] * (settings.threads or 1))))
     return create_app(settings)
 
 
 @contextmanager
-def _numbers_together() -> Iterator[None]:
-    """Let processes that are started in the block add up their numbers for Prometheus."""
+def _told_to_processes(settings: Settings, workers: int) -> Iterator[None]:
+    """Tell processes that are started in the block what to serve, and where they add up their numbers.
+
+    What is handed to a process in another way is imported there before it can say that it is alive.
+    """
     with tempfile.TemporaryDirectory(prefix="zoedepth-", dir=memory_folder()) as folder:
-        os.environ[FOLDER_VARIABLE] = folder
+        told = {_TOLD: json.dumps({"workers": workers, "settings": asdict(settings)}), FOLDER_VARIABLE: folder}
+        os.environ |= told
         try:
             yield
         finally:
-            del os.environ[FOLDER_VARIABLE]
+            for name in told:
+                del os.environ[name]
