@@ -1,12 +1,11 @@
 import base64
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.browsers import LONGEST, browser, needs_browser
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
@@ -21,7 +20,6 @@ DEPTH = np.linspace(2, 3, 12 * 16, dtype=np.float32).reshape(SIZE)
 IMAGE = np.random.default_rng(0).integers(0, 256, (*SIZE, 3), dtype=np.uint8)
 MAPS = Maps(depth=DEPTH, image=IMAGE, camera=Camera.from_fov(SIZE, horizontal=60))
 AROUND = Maps(depth=np.full((10, 20), 2.0, np.float32), image=np.zeros((10, 20, 3), np.uint8), panorama=True)
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
 def facts(page: Path) -> dict[str, str]:
@@ -121,20 +119,15 @@ def test_pages_need_no_network_and_run_nothing_of_what_they_are_given(tmp_path: 
     assert "The MIT License" in text  # of three.js
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no browser")
+@needs_browser
 def test_a_browser_shows_the_page(tmp_path: Path) -> None:
     write_page_of_maps(tmp_path / "page.html", MAPS, title="photo")
-    assert CHROMIUM
-    done = subprocess.run(
-        [
-            CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=20000", "--dump-dom",
-            f"file://{tmp_path / 'page.html'}#angle=20",
-        ],
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
-    assert 'data-state="ready"' in done.stdout, done.stderr
-    assert re.search(r"330 triangles; \d\.\d\d m wide, \d\.\d\d m high, 1\.00 m deep", done.stdout), done.stdout[:3000]
+    with browser() as opened:
+        page = opened.new_page()
+        page.goto(f"{(tmp_path / 'page.html').as_uri()}#angle=20")
+        page.wait_for_selector("[data-state=ready]", state="attached", timeout=1000 * LONGEST)
+        text = page.inner_text("body")
+    assert re.search(r"330 triangles; \d\.\d\d m wide, \d\.\d\d m high, 1\.00 m deep", text), text
 
 
 def test_a_cloud_without_colours_or_normals_makes_a_page(tmp_path: Path) -> None:
