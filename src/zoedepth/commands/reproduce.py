@@ -58,6 +58,7 @@ def reproduce(
     from zoedepth.commands.evaluate import print_table
     from zoedepth.commands.progress import track
     from zoedepth.jobs.shard import JobShard
+    from zoedepth.reproduction.backbones import plot_backbones
     from zoedepth.reproduction.run import open_scored, read_result, run_unit
     from zoedepth.reproduction.scale import FULL, SMALL
     from zoedepth.reproduction.shown import shown
@@ -110,6 +111,8 @@ def reproduce(
     results = [read_result(out, unit, scored) for unit in units]
     found = shown(chosen, units, results, datasets=names, scale=scale.name)
     print_table(found)
+    if table == "backbones" and plot_backbones(units, results, out / f"{table}-{scale.name}.png"):
+        say(f"Plotted: {out / f'{table}-{scale.name}.png'}")
     say(f"Written to {_write(out, f'{table}-{scale.name}', found)}, .html, .tex")
     return 0
 
