@@ -1,6 +1,6 @@
 """Jobs of many photos: are they lost, are they done twice, and what does it cost to know?
 
-    python -m benchmarks.jobs kill [--kills 50] [--photos 300] [--shards 1] [--engine process]
+    python -m benchmarks.jobs kill [--kills 50] [--photos 300] [--shards 1] [--engine process] [--fork]
     python -m benchmarks.jobs lose-a-node [--photos 60]
     python -m benchmarks.jobs overhead [--photos 1000] [--turns 5]
     python -m benchmarks.jobs many [--photos 100000]
@@ -38,6 +38,7 @@ def kill(
     photos: int = 300,
     shards: int = 1,
     engine: Literal["process", "ray"] = "process",
+    fork: bool = False,
     seed: int | None = None,
 ) -> int:
     """Kill the command at random moments with ``kill -9``, type it again each time, and compare.
@@ -47,32 +48,49 @@ def kill(
         photos: photos of the job.
         shards: commands that work at the same time; each kill is of one of them.
         engine: see `zoedepth predict`.
+        fork: begin the command in forks of this process, without the seconds in which Python imports it.
         seed: of the moments.
     """
     seed = random.randrange(1 << 30) if seed is None else seed
     rng = random.Random(seed)
     print(f"seed {seed}", flush=True)
+    if fork:
+        _import_all()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_photos(folder / "in", photos)
-        _command(folder, "alone", 0, 1, "process").wait()
-        running = [_command(folder, "killed", index, shards, engine) for index in range(shards)]
+        write_photos(folder / "in", photos, size=(120, 160))
+        _Command(folder, "alone", 0, 1, "process", fork=fork).wait()
+        print("one run was left alone", flush=True)
+        running = [_Command(folder, "killed", index, shards, engine, fork=fork) for index in range(shards)]
         n_killed, ended = 0, False
         while n_killed < kills and not ended:
             victim = rng.randrange(shards)
             target = _n_done(folder / "killed") + rng.randrange(1, max(2, 2 * photos // max(1, kills)))
-            while _n_done(folder / "killed") < target and running[victim].poll() is None:
-                time.sleep(0.002)
+            while _n_done(folder / "killed") < target and not running[victim].ended():
+                time.sleep(0.005)
             time.sleep(rng.random() * 0.1)  # in the middle of anything: a file, a name, a line
-            ended = all(process.poll() is not None for process in running)
-            if running[victim].poll() is None:
-                os.killpg(running[victim].pid, signal.SIGKILL)
-                running[victim].wait()
+            if not running[victim].ended():
+                running[victim].kill()
                 n_killed += 1
-            running[victim] = _command(folder, "killed", victim, shards, engine)
+            ended = all(process.ended() and process.code == 0 for process in running)
+            if not ended and running[victim].code != 0:
+                running[victim] = _Command(folder, "killed", victim, shards, engine, fork=fork)
         codes = [process.wait() for process in running]
         print(f"{n_killed} kills; the commands that were left ended with {codes}")
         return _report(folder, photos)
+
+
+def _import_all() -> None:
+    """Import what the command does, on one thread: a fork has no other."""
+    import torch
+
+    import zoedepth.commands.predict
+    import zoedepth.jobs.ray_engine
+    import zoedepth.weights.load
+
+    torch.set_num_threads(1)
+    assert zoedepth.commands.predict.predict
+    zoedepth.weights.load.load_model("zoed-lite")
 
 
 def lose_a_node(*, photos: int = 60) -> int:
@@ -83,12 +101,13 @@ def lose_a_node(*, photos: int = 60) -> int:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_photos(folder / "in", photos)
-        _command(folder, "alone", 0, 1, "process").wait()
+        _Command(folder, "alone", 0, 1, "process", fork=False).wait()
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
         node = cluster.add_node(num_cpus=1)
         cluster.wait_for_nodes()
-        process = _command(folder, "killed", 0, 1, "ray", "--address", cluster.address, "--workers", "2")
-        while _n_done(folder / "killed") < photos // 4 and process.poll() is None:
+        more = ("--address", cluster.address, "--workers", "2")
+        process = _Command(folder, "killed", 0, 1, "ray", *more, fork=False)
+        while _n_done(folder / "killed") < photos // 4 and not process.ended():
             time.sleep(0.05)
         cluster.remove_node(node, allow_graceful=False)
         print(f"a node was lost after {_n_done(folder / 'killed')} photos")
@@ -298,16 +317,59 @@ def write_photos(folder: Path, n: int, *, size: tuple[int, int] = (480, 640)) ->
         Image.fromarray(photo.clip(0, 255).astype(np.uint8)).save(path, quality=90)
 
 
-def _command(folder: Path, out: str, index: int, shards: int, engine: str, *more: str) -> subprocess.Popen:
-    command = [
-        sys.executable, "-m", "zoedepth", "predict", str(folder / "in"), "--out", str(folder / out), "--no-flip",
-        "--save", "depth,npy", "--workers", "1", "--engine", engine, *more,
-    ]  # fmt: skip
-    if shards > 1:
-        command += ["--shard", f"{index}/{shards}"]
-    with (folder / f"{out}-{index}.log").open("ab") as log:
-        # A group of its own, so that everything it has started dies with it.
-        return subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+class _Command:
+    """A command that runs in a process of its own: a new one, or a fork of this one, which has imported everything."""
+
+    def __init__(self, folder: Path, out: str, index: int, shards: int, engine: str, *more: str, fork: bool) -> None:
+        words = [
+            "predict", str(folder / "in"), "--out", str(folder / out), "--no-flip", "--save", "depth,npy",
+            "--workers", "1", "--engine", engine, *more,
+        ]  # fmt: skip
+        if shards > 1:
+            words += ["--shard", f"{index}/{shards}"]
+        self.code: int | None = None
+        with (folder / f"{out}-{index}.log").open("ab") as log:
+            if fork:
+                self.pid = os.fork()
+                if self.pid == 0:
+                    os.setsid()
+                    os.dup2(log.fileno(), 1)
+                    os.dup2(log.fileno(), 2)
+                    os._exit(_run(words))
+            else:
+                # A group of its own, so that everything it has started dies with it.
+                command = [sys.executable, "-m", "zoedepth", *words]
+                # Kept, because whoever forgets a process of subprocess has it waited for there.
+                self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
+                self.pid = self.process.pid
+
+    def ended(self) -> bool:
+        return self.code is not None or self._ask(os.WNOHANG)
+
+    def wait(self) -> int:
+        while self.code is None:
+            self._ask(0)
+        return self.code
+
+    def kill(self) -> None:
+        os.killpg(self.pid, signal.SIGKILL)
+        self.wait()
+
+    def _ask(self, how: int) -> bool:
+        pid, status = os.waitpid(self.pid, how)
+        if pid:
+            self.code = os.waitstatus_to_exitcode(status)
+        return bool(pid)
+
+
+def _run(words: list[str]) -> int:
+    from zoedepth.cli import main as command
+
+    try:
+        return command(words)
+    except BaseException as error:
+        print(repr(error), file=sys.stderr)
+        return 99
 
 
 def _lines(out: Path) -> list[dict[str, Any]]:

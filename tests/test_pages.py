@@ -71,6 +71,22 @@ def test_cameras(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out.splitlines()[0].startswith("exif 67.")
 
 
+def test_scale(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The commands for clusters need clusters; ``tests/jobs`` has a Ray of this machine."""
+    for photo in ("b", "c"):
+        photo_of(workplace / "photos" / f"{photo}.jpg", (640, 480), {FILM_LENGTH: 26})
+    for words in commands("scale.md"):
+        if "ray" not in words:
+            options = ["--no-preview", "--no-flip"] if words[0] == "predict" else []
+            assert main([*words, *options]) == 0, words
+    (program,) = blocks("scale.md", "python")
+    capsys.readouterr()
+    exec(program, {})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 4
+    assert lines[-1] == "3 done, 0 done before"
+
+
 def test_calibration(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for photo in ("b", "c"):
         photo_of(workplace / "photos" / f"{photo}.jpg", (640, 480), {FILM_LENGTH: 26})

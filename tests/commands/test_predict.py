@@ -502,6 +502,8 @@ class TestJobs:
         for shard in ("0/2", "1/2"):
             assert predict(folder, "--no-flip", "--no-preview", "--shard", shard, out=tmp_path / "out") == 0
         assert names(tmp_path / "out") == {f"{i}{end}" for i in range(3) for end in ("_depth.png", ".json")}
+        assert predict(folder, "--shard", "99999/100000", out=tmp_path / "out") == 0
+        assert "No photos in shard 99999/100000" in capsys.readouterr().err
         assert predict(folder, "--shard", "2/2", out=tmp_path / "out") == 2
         assert "--shard must be i/n" in capsys.readouterr().err
 

@@ -71,7 +71,7 @@ class Sources:
     out: str = ""
     """The address that is written to; nothing below it is an input."""
     found: Found = field(default_factory=Found)
-    """What could not be read, and what was left out; complete when all inputs were listed."""
+    """The sources that could not be read, and what was left out; complete when all inputs were listed."""
 
     def __post_init__(self) -> None:
         for name in self.names:

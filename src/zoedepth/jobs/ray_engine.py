@@ -109,7 +109,7 @@ def run_on_ray(
         request: the files to make of each photo.
         model: name of the model.
         device: "auto" takes the cluster's GPUs, one for each actor, or its cores, where it has none.
-        manifest: what is done. ``Manifest.begin`` was called.
+        manifest: the manifest, for which ``Manifest.begin`` was called.
         destination: where the files go; all machines must see it at the same path.
         workers: actors; None: as many as the cluster has GPUs or cores.
         address: the cluster's, as ``ray.init`` takes it; None: that of RAY_ADDRESS, or a Ray of this machine that ends

@@ -62,7 +62,7 @@ def run_job(
         inputs: photos, each once; they are asked for as they are needed.
         predictor: used by all workers at the same time.
         request: the files to make of each photo.
-        manifest: what is done. ``Manifest.begin`` was called.
+        manifest: the manifest, for which ``Manifest.begin`` was called.
         destination: where the files go.
         workers: photos computed at the same time, each in a thread.
         tally: counts the inputs.
