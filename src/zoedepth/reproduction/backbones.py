@@ -24,8 +24,7 @@ IMAGENET_TOP1 = {
 """Encoder → top-1 accuracy of its weights on ImageNet's validation set, percent, as timm measured it
 (``results/results-imagenet.csv`` of pytorch-image-models)."""
 
-_AREA = 6.0  # points² of a circle for a million parameters
-_LEAST = 30.0
+_LARGEST = 900.0  # area of the largest circle, in square points
 
 
 def plot_backbones(units: Sequence[Unit], results: Sequence[Result | None], path: Path, *, data: str = "nyu") -> bool:
@@ -56,19 +55,20 @@ def plot_backbones(units: Sequence[Unit], results: Sequence[Result | None], path
     require_matplotlib()
     from matplotlib.figure import Figure
 
+    most = max(n_parameters for _, _, n_parameters in found.values())
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     axes = figure.subplots()
     for name, (top1, values, n_parameters) in found.items():
         interval = Interval.of(values)
         axes.errorbar(top1, interval.mean, yerr=interval.half, color="0.6", capsize=3, zorder=1)
-        axes.scatter(top1, interval.mean, s=max(_LEAST, _AREA * n_parameters / 1e6), alpha=0.7, zorder=2)
+        axes.scatter(top1, interval.mean, s=_LARGEST * n_parameters / most, alpha=0.7, zorder=2)
         axes.annotate(
-            f"{name}\n{n_parameters / 1e6:.0f} M", (top1, interval.mean), xytext=(10, 6), textcoords="offset points",
-            fontsize=8,
+            f"{name}\n{n_parameters / 1e6:.0f} M", (top1, interval.mean), xytext=(0, 20), textcoords="offset points",
+            fontsize=8, ha="center",
         )  # fmt: skip
     axes.set_xlabel("top-1 accuracy of the encoder on ImageNet (%)")
     axes.set_ylabel(f"REL on {data}")
-    axes.margins(0.2)
+    axes.margins(0.25)
     axes.grid(alpha=0.3)
     with atomic_path(path) as part:
         figure.savefig(part, format="png", dpi=150)
