@@ -472,7 +472,7 @@ class TestPage:
         vertices = PlyData.read(download("ply"))["vertex"]
         assert len(vertices["x"]) == valid.sum()
         check_points(np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64))
-        surface = trimesh.load(download("glb"), process=False).to_geometry()  # type: ignore[union-attr]
+        (surface,) = trimesh.load(download("glb"), process=False).geometry.values()
         assert len(surface.faces) > 1000
         check_points(np.asarray(surface.vertices, np.float64) * (1, -1, -1))
         assert sorted(path.name for path in tmp_path.iterdir()) == [
