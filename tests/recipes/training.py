@@ -28,12 +28,12 @@ TRAINED = {
     "demo": ("demo_relative", "demo"),
     "relative": ("relative_m12", "relative_n"),
     "metric": (
-        "zoed_x_n", "zoed_m12_n", "zoed_m12_k", "zoed_m12_nk", "zoed_nk_nk", "zoed_nk_nk_one_head",
-        "zoed_m12_n_swin2_t",
+        "zoed_m12_n", "zoed_m12_k", "zoed_m12_nk", "zoed_nk_nk_one_head", "zoed_m12_n_swin2_t",
     ),
     "ablations": (
         "table_2_dorn", "table_2_localbins", "table_2_pixelbins", "table_2_newcrfs", "table_5_naive",
-        "table_5_splitter", "table_5_exponential", "table_5_softmax", "table_6_labeled", "table_6_auto", "three_heads",
+        "table_5_splitter", "table_5_exponential", "table_5_softmax", "table_5_sum", "table_6_labeled",
+        "table_6_auto", "three_heads",
     ),
     "baselines": ("bts_n", "adabins_n", "localbins_n", "pixelbins_n", "newcrfs_nk", "dorn_n"),
     "comparison": ("comparison", "comparison_bts"),

@@ -1,22 +1,18 @@
 """The released weights on the official data: what is found, what is missing, and the difference to the paper."""
 
-import dataclasses
 from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from tests.folders import write_pairs
+from tests.reproduction.released import write_released
 
-from zoedepth.cli import main
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.evaluation.evaluation_set import EvaluationSet, open_evaluation_set
 from zoedepth.evaluation.protocols import PROTOCOLS, Protocol
-from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.reproduction import verify as module
 from zoedepth.reproduction.verify import Difference, difference_table, find_files, verify
-from zoedepth.weights.load import save_model
 from zoedepth.weights.releases import RELEASES
 
 
@@ -24,10 +20,7 @@ from zoedepth.weights.releases import RELEASES
 def folder(tmp_path: Path, tiny_config: ModelConfig, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Weights of one model (a tiny one), and photos that stand for NYU; nothing is in the user's cache."""
     monkeypatch.setenv("TORCH_HOME", str(tmp_path / "no-cache"))
-    model = ZoeDepth(dataclasses.replace(tiny_config, domains=tiny_config.domains[:1])).eval()
-    (tmp_path / "files" / "weights").mkdir(parents=True)
-    save_model(model, tmp_path / "files" / "weights" / "zoed-m12-n.safetensors")
-    write_pairs(tmp_path / "files" / "nyu", n=2, size=(480, 640), split="test")
+    write_released(tmp_path / "files", tiny_config)
     return tmp_path / "files"
 
 
@@ -94,18 +87,3 @@ def test_table_has_the_differences() -> None:
         ("ZoeD-M12-N", "nyu", "REL", "0.075", "0.0765", "+0.0015", "0.0749", "-0.0001"),
         ("ZoeD-M12-K", "ddad", "RMSE (m)", "7.108", "not run", "-", "not run", "-"),
     )
-
-
-def test_command_says_what_is_missing_and_its_code_does_too(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["verify", str(folder), "--out", str(tmp_path / "out")]) == 1
-    shown = capsys.readouterr()
-    assert "ZoeD-M12-NK" in shown.out
-    assert "not there: kitti: no folder" in shown.err
-    text = (tmp_path / "out" / "verify.md").read_text()
-    assert "Not there:" in text
-    assert "- zoed-m12-nk: no ZoeD_M12_NK.pt" in text
-    (tmp_path / "empty").mkdir()
-    assert main(["verify", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
-    assert "there is nothing to verify" in capsys.readouterr().err

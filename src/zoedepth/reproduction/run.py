@@ -23,12 +23,12 @@ from zoedepth.train.state import checkpoints
 from zoedepth.weights.load import load_model
 
 FAILED = "did not converge"
-"""What stands in a table where a training ended in numbers that are not finite."""
+"""Words in a table where a training ended in numbers that are not finite."""
 
 
 @dataclass(frozen=True)
 class Result:
-    """What is known of a unit."""
+    """The findings about a unit."""
 
     scores: Mapping[str, Mapping[str, float] | None]
     """Data set → metrics; None where nothing could be scored."""

@@ -1,4 +1,4 @@
-"""What is compared: the rows of the paper's tables, each with its recipe and its pre-training."""
+"""Comparisons of the paper: the rows of its tables, each with its recipe and its pre-training."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field

@@ -31,7 +31,7 @@ _METRICS = ("rel", "rmse", "delta1")
 
 @dataclass(frozen=True)
 class Found:
-    """What there is to verify with, and what there is not."""
+    """The files to verify with, and those that are not there."""
 
     weights: dict[str, str] = field(default_factory=dict)
     """Name of a model → file, or the name that is downloaded."""
