@@ -170,7 +170,7 @@ def many(*, photos: int = 100_000) -> int:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        content = _png(np.full((8, 8, 3), 128, np.uint8))
+        content = _png(np.random.default_rng(0).integers(0, 256, (8, 8, 3), dtype=np.uint8))
         for index in range(photos):
             path = folder / "in" / f"{index // 1000:05d}" / f"{index:08d}.png"
             if index % 1000 == 0:

@@ -3,7 +3,7 @@
 import errno
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from threading import Barrier
@@ -14,7 +14,19 @@ import pytest
 import torch
 from PIL import ExifTags, Image
 
-from zoedepth.batch import Outcome, Photo, Request, find_photos, predict_all, predict_photo, share_cores
+from zoedepth.batch import (
+    Found,
+    NamesInMemory,
+    Outcome,
+    Photo,
+    Request,
+    find_photos,
+    in_turn,
+    predict_all,
+    predict_photo,
+    share_cores,
+    walk_photos,
+)
 from zoedepth.calibration import Calibration, Reading
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
@@ -204,6 +216,48 @@ class TestFindPhotos:
         assert self.targets(tmp_path, out=tmp_path / "out") == {
             name: name for name in (composed, decomposed, "B.jpg", "b.png")
         }
+
+
+class TestInTurn:
+    def test_items_are_asked_for_as_they_are_needed(self) -> None:
+        asked = []
+
+        def items() -> Iterator[int]:
+            for number in range(100):
+                asked.append(number)
+                yield number
+
+        results = in_turn(lambda number: -number, items(), workers=2, ahead=5)
+        assert [next(results) for _ in range(3)] == [0, -1, -2]
+        assert len(asked) <= 7
+        results.close()
+        assert list(in_turn(lambda number: -number, range(20), workers=3)) == [-number for number in range(20)]
+
+    def test_nothing_is_begun_after_a_reason_to_stop_and_what_was_begun_is_told(self) -> None:
+        begun, told = [], []
+
+        def work(number: int) -> int:
+            begun.append(number)
+            return number
+
+        def stop() -> InputError | None:
+            return InputError("full") if 3 in begun else None
+
+        with pytest.raises(InputError, match="full"):
+            told.extend(in_turn(work, range(1000), workers=1, stop=stop))
+        assert sorted(told) == sorted(begun)
+        assert len(begun) <= 10
+
+
+def test_photos_are_found_one_folder_after_the_other(tmp_path: Path) -> None:
+    for name in ("a/1.jpg", "a/1.png", "b/1.jpg"):
+        write_photo(tmp_path / name)
+    found = Found()
+    walked = walk_photos([str(tmp_path)], found, seen=NamesInMemory(), taken=NamesInMemory(), above="x")
+    path, place, target = next(walked)
+    write_photo(tmp_path / "b" / "2.jpg")  # not yet listed
+    assert (path, place, target) == (tmp_path / "a" / "1.jpg", Path("x/a/1.jpg"), Path("x/a/1.jpg"))
+    assert [target.as_posix() for _, _, target in walked] == ["x/a/1.png", "x/b/1", "x/b/2"]
 
 
 class TestOwnFiles:

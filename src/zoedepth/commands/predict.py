@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,7 +17,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.folders import check_writable
 from zoedepth.outputs import OUTPUTS, Options, output_names
 from zoedepth.stored import to_json
@@ -167,6 +168,8 @@ def predict(
     from zoedepth.jobs.shard import JobShard
 
     console = Console(stderr=True, highlight=False)
+    # Otherwise Python would remember each warning, with its photo's name, for as long as it runs.
+    warnings.simplefilter("always", InputWarning, append=True)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
     stored = is_address(out)
     if not stored and Path(out).exists() and not Path(out).is_dir():
