@@ -251,6 +251,8 @@ class TestRest:
             preflight = {**site, "Access-Control-Request-Method": "POST"}
             assert client.ask("/v1/depth", method="OPTIONS", headers=preflight).status == 200
             assert client.ask("/v1/models", headers={"Origin": "https://example.com"}).status == 403
+            refusal = client.ask("/v1/depth?domain=space", photo(), headers=site)
+            assert (refusal.status, refusal.headers["access-control-allow-origin"]) == (422, "https://example.org")
 
     def test_two_models_are_told_apart_by_name(self, model_file: str, tmp_path: Path) -> None:
         other = tmp_path / "other.safetensors"

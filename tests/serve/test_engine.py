@@ -1,6 +1,7 @@
 import asyncio
 import io
 import threading
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
@@ -159,6 +160,15 @@ def test_a_full_queue_a_long_wait_and_a_long_work_are_told(model_file: str, monk
 
     kinds = play(Settings((model_file,), threads=1, limits=limits), game)
     assert sorted(kinds) == ["busy", "took-too-long", "waited-too-long"]
+
+
+def test_the_time_in_which_the_body_came_counts(model_file: str) -> None:
+    async def game(engine: Engine) -> None:
+        with pytest.raises(Problem) as caught:
+            await engine.compute(photo(), Wanted(), whole, gone=gone(), began=time.perf_counter() - 60)
+        assert caught.value.kind == "took-too-long"
+
+    play(Settings((model_file,)), game)
 
 
 def test_when_it_closes_who_waits_is_refused_and_who_is_computed_gets_an_answer(

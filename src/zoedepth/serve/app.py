@@ -24,7 +24,7 @@ from zoedepth.serve.answers import FORMATS, about, choose_format, dump, encode
 from zoedepth.serve.body import PHOTO, read_parts
 from zoedepth.serve.description import INTRODUCTION, body_of, describe_names, photo_answers, problem_answers
 from zoedepth.serve.engine import Engine, Model, Times, told
-from zoedepth.serve.guard import Guard, Receive, Scope, Send
+from zoedepth.serve.guard import BEGAN, Guard, Receive, Scope, Send
 from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.page_files import PageFile, read_page
 from zoedepth.serve.photos import MEDIA_TYPES, Decoded, hear_warnings
@@ -138,7 +138,7 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
         gone: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         watcher = asyncio.ensure_future(_watch(request, gone))
         try:
-            return await engine.compute(parts[PHOTO], wanted, finish, gone=gone)
+            return await engine.compute(parts[PHOTO], wanted, finish, gone=gone, began=request.scope[BEGAN])
         finally:
             watcher.cancel()
             gone.cancel()  # whatever has not begun for this request shall not begin

@@ -68,7 +68,8 @@ class Model:
 
     def __init__(self, source: str, settings: Settings, *, streams: int) -> None:
         self.source = source
-        self.name = source if source in RELEASES else Path(source).stem or source
+        path = Path(source)
+        self.name = source if source in RELEASES else (path.name if path.is_dir() else path.stem) or source
         network = load_model(source, precision=settings.precision, streams=streams)
         if not network.config.domains:
             raise InputError(f"{source} gives relative depth, and the service answers in metres: choose another model")
@@ -202,6 +203,7 @@ class Engine:
         finish: Callable[[DepthMap, Decoded], Result],
         *,
         gone: asyncio.Future[None],
+        began: float | None = None,
     ) -> tuple[Result, Times]:
         """Predict a photo when its turn comes; returns what ``finish`` makes of the depth, and how long it took.
 
@@ -210,12 +212,14 @@ class Engine:
             wanted: how to predict it.
             finish: function that is called in a thread with the depth map and the photo.
             gone: a future that is done when the client has hung up: then nothing more is done for it.
+            began: when the request came, by ``time.perf_counter``, if not now.
 
         Raises:
             Problem: the photo is refused, the queue is full, or it takes too long.
             ClientGone: the client hung up.
         """
         limits, started = self._settings.limits, time.perf_counter()
+        until = (started if began is None else began) + limits.max_seconds
         loop = asyncio.get_running_loop()
         with told():
             self.gate.check()
@@ -232,7 +236,7 @@ class Engine:
         work = asyncio.ensure_future(self._inside(content, wanted, model, finish, gone))
         ending = asyncio.ensure_future(self._ending.wait())
         await asyncio.wait(
-            {work, gone, ending}, timeout=max(0.0, limits.max_seconds - waited), return_when=asyncio.FIRST_COMPLETED
+            {work, gone, ending}, timeout=max(0.0, until - time.perf_counter()), return_when=asyncio.FIRST_COMPLETED
         )
         ending.cancel()
         if work.done():

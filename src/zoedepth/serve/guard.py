@@ -53,6 +53,9 @@ HEADERS = {
 OPEN_PATHS = ("/healthz", "/readyz")
 """Paths that answer whatever name they are called by, and need no token: a container's own checks."""
 
+BEGAN = "zoedepth.began"
+"""Name in the scope of a request: when its head came, by ``time.perf_counter``."""
+
 _SECRET_PATHS = ("/v1/", "/metrics")
 _PIECE = 1 << 18  # bytes of an answer that are sent at once, so that a stalled reader is noticed
 _DISCARDED, _LINGER = 900_000, 2.0  # bytes and seconds of an unread body, after the answer
@@ -89,6 +92,7 @@ class Guard:
             return await send({"type": "websocket.close", "code": 1008})
         started = time.perf_counter()
         exchange = _Exchange(scope, receive, send, self)
+        scope[BEGAN] = started
         try:
             self._check(scope, exchange)
             exchange.begin()
@@ -251,6 +255,9 @@ class _Exchange:
             further = {name: value for name, value in HEADERS.items() if name.encode() not in given}
             if self._unread:
                 further["connection"] = "close"
+            origin = self.headers.get("origin")
+            if origin in self._guard.settings.origins and b"access-control-allow-origin" not in given:
+                further |= {"access-control-allow-origin": origin, "vary": "origin"}  # for refusals, too
             message["headers"] = [
                 *message["headers"],
                 *((name.encode(), value.encode()) for name, value in further.items()),

@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 import uvicorn
-from uvicorn.config import LOGGING_CONFIG
+from uvicorn.config import LOGGING_CONFIG, STARTUP_FAILURE
 from uvicorn.supervisors import Multiprocess
 
 from zoedepth.batch import cpu_count
@@ -95,6 +95,8 @@ def run_several(settings: Settings, listener: socket.socket, *, workers: int, ac
         config = make_config(_APPLICATION, settings, workers=workers, access_log=access_log)
         processes = _Processes(config, [listener])
         processes.run()
+    if any(process.exitcode == STARTUP_FAILURE for process in processes.processes):
+        raise InputError("a process could not start: what it says is above")
     for number, handler in before.items():
         signal.signal(number, handler)
     signal.raise_signal(processes.ended_by)
