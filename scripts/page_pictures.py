@@ -77,7 +77,7 @@ def surface(browser: Browser, url: str) -> None:
 
 def dark(browser: Browser, url: str) -> None:
     """A cup in a dark scheme, with another lens, and other colours."""
-    page = open_example(browser, url, "coffee", color_scheme="dark")
+    page = open_example(browser, url, "coffee", is_dark=True)
     page.fill("#fov", "50")
     settled(page)
     page.select_option("#colormap", "turbo_r")
@@ -89,9 +89,8 @@ def dark(browser: Browser, url: str) -> None:
 
 def phone(browser: Browser, url: str) -> None:
     """Three looks at the page of a phone, side by side."""
-    look = {"viewport": {"width": 360, "height": 740}, "is_mobile": True, "has_touch": True}
     shots = []
-    page = new_page(browser, url, **look)
+    page = new_page(browser, url, on_phone=True)
     shots.append(page.screenshot())
     page.tap('[data-example="examples/room.jpg"]')
     settled(page)
@@ -100,7 +99,7 @@ def phone(browser: Browser, url: str) -> None:
     for x, y in ((0.75, 0.45), (0.3, 0.62)):
         page.touchscreen.tap(stage["x"] + x * stage["width"], stage["y"] + y * stage["height"])
     shots.append(page.screenshot())
-    page = new_page(browser, url, **look, color_scheme="dark")
+    page = new_page(browser, url, on_phone=True, is_dark=True)
     page.tap('[data-example="examples/coffee.jpg"]')
     settled(page)
     page.tap("#show-space")
@@ -115,24 +114,30 @@ def phone(browser: Browser, url: str) -> None:
     sheet.save(IMAGES / "serve-phone.webp", quality=QUALITY)
 
 
-def open_example(browser: Browser, url: str, name: str, **look: object) -> Page:
-    page = new_page(browser, url, **look)
+def open_example(browser: Browser, url: str, name: str, *, is_dark: bool = False) -> Page:
+    page = new_page(browser, url, is_dark=is_dark)
     page.click(f'[data-example="examples/{name}.jpg"]')
     settled(page)
     return page
 
 
-def new_page(browser: Browser, url: str, **look: object) -> Page:
-    page = browser.new_context(
-        **{"viewport": {"width": 1280, "height": 800}, "device_scale_factor": 1.5, **look}
-    ).new_page()
+def new_page(browser: Browser, url: str, *, on_phone: bool = False, is_dark: bool = False) -> Page:
+    context = browser.new_context(
+        viewport={"width": 360, "height": 740} if on_phone else {"width": 1280, "height": 800},
+        device_scale_factor=1.5,
+        is_mobile=on_phone,
+        has_touch=on_phone,
+        color_scheme="dark" if is_dark else "light",
+    )
+    page = context.new_page()
+    page.set_default_timeout(180_000)
     page.goto(url)
     page.wait_for_selector("#model option", state="attached")
     return page
 
 
 def settled(page: Page) -> None:
-    page.wait_for_selector('#work[aria-busy="false"]', timeout=120_000)
+    page.wait_for_selector('#work[aria-busy="false"]')
 
 
 def turned(page: Page) -> None:

@@ -58,15 +58,18 @@ export class Service {
 
   post(path, question, query, parts, options) {
     const most = this.limits.max_body;
-    if (most && question.photo.size > most) { // a service that refuses while a browser still sends is not heard
+    if (most && question.photo.size > most) {
+      // a service that refuses while a browser still sends is not heard
       throw new Problem({
-        title: "The photo is too large", status: 413,
-        detail: `It has ${(question.photo.size / MEGABYTE).toFixed(0)} MB, and this service takes ${most / MEGABYTE} MB.`,
+        title: "The photo is too large",
+        status: 413,
+        detail: `It is ${(question.photo.size / MEGABYTE).toFixed(0)} MB, and the service takes ${most / MEGABYTE} MB.`,
       });
     }
     const body = new FormData();
     body.append("photo", question.photo, question.name);
-    if (question.calibration) body.append("calibration", new Blob([JSON.stringify(question.calibration)]), "calibration.json");
+    if (question.calibration)
+      body.append("calibration", new Blob([JSON.stringify(question.calibration)]), "calibration.json");
     for (const [name, value] of Object.entries(parts)) body.append(name, value);
     return this.send("POST", `${path}?${new URLSearchParams({...queryOf(question), ...query})}`, body, options);
   }
@@ -86,8 +89,12 @@ export class Service {
         if (request.status >= 200 && request.status < 300) resolve(request.response);
         else reject(problemOf(request));
       };
-      request.onerror = () => failed("The service does not answer", "Is it still running, and is the network there? The "
-        + "photo may also have been changed on the disk since you chose it.");
+      request.onerror = () =>
+        failed(
+          "The service does not answer",
+          "Is it still running, and is the network there? The " +
+            "photo may also have been changed on the disk since you chose it.",
+        );
       request.ontimeout = () => failed("The service takes too long", "Try again.");
       request.onabort = () => reject(new DOMException("stopped", "AbortError"));
       if (signal?.aborted) return request.onabort();
@@ -123,15 +130,22 @@ function problemOf(request) {
   }
   const wait = retryAfter ? ` Try again in ${retryAfter} s.` : "";
   return new Problem({
-    title: said.title ?? `The service answered ${request.status}`, detail: (said.detail ?? "") + wait,
-    status: request.status, retryAfter,
+    title: said.title ?? `The service answered ${request.status}`,
+    detail: (said.detail ?? "") + wait,
+    status: request.status,
+    retryAfter,
   });
 }
 
 /** Read the maps: a mark, the length of a header of JSON, the header, and the arrays at the places that it says. */
 function readMaps(buffer) {
   const mark = buffer.byteLength >= 12 ? String.fromCharCode(...new Uint8Array(buffer, 0, MARK.length)) : "";
-  if (mark !== MARK) throw new Problem({title: "The answer cannot be read", detail: "It was cut off, or is of another service.", status: 0});
+  if (mark !== MARK)
+    throw new Problem({
+      title: "The answer cannot be read",
+      detail: "It was cut off, or is of another service.",
+      status: 0,
+    });
   const length = new DataView(buffer).getUint32(MARK.length, true);
   const facts = parsed(buffer.slice(MARK.length + 4, MARK.length + 4 + length));
   const kinds = {float32: Float32Array, uint8: Uint8Array};
@@ -140,7 +154,10 @@ function readMaps(buffer) {
     return about ? new kinds[about.type](buffer, about.offset, about.shape[0] * about.shape[1]) : null;
   };
   const depth = new Depth({
-    size: facts.arrays.depth.shape, values: array("depth"), std: array("std"), valid: array("valid"),
+    size: facts.arrays.depth.shape,
+    values: array("depth"),
+    std: array("std"),
+    valid: array("valid"),
     camera: new Camera(facts.camera),
   });
   return {facts, depth};

@@ -25,7 +25,9 @@ export class CameraPanel extends EventTarget {
   /** What is chosen, as a question has it. */
   get choice() {
     const kind = Object.keys(this.radios).find((name) => this.radios[name].checked);
-    return kind === "exif" ? {kind, value: null} : {kind, value: (kind === "fov" ? this.fov : this.focal).valueAsNumber};
+    return kind === "exif"
+      ? {kind, value: null}
+      : {kind, value: (kind === "fov" ? this.fov : this.focal).valueAsNumber};
   }
 
   /** The camera that is chosen; null where the photo's notes say it, which the service reads. */
@@ -44,11 +46,19 @@ export class CameraPanel extends EventTarget {
   show({camera, camera_note: note, focal_correction: factor}) {
     const known = new Camera(camera);
     this.size = camera.size;
-    const badge = element("span", {className: camera.source === "assumed" ? "badge guess" : "badge", textContent: SAYS[camera.source]});
-    const corrected = Math.abs(factor - 1) > 5e-4 ? ` Metres are multiplied by ${factor.toFixed(3)} for this lens.` : "";
+    const badge = element("span", {
+      className: camera.source === "assumed" ? "badge guess" : "badge",
+      textContent: SAYS[camera.source],
+    });
+    const corrected =
+      Math.abs(factor - 1) > 5e-4 ? ` Metres are multiplied by ${factor.toFixed(3)} for this lens.` : "";
     const reason = note ? ` The photo: ${note}.` : "";
-    byId("camera-text").replaceChildren(badge, ` ${known.fovX.toFixed(1)}° across, focal length ${known.fy.toFixed(0)} pixels.`,
-      camera.source === "given" ? "" : reason, corrected);
+    byId("camera-text").replaceChildren(
+      badge,
+      ` ${known.fovX.toFixed(1)}° across, focal length ${known.fy.toFixed(0)} pixels.`,
+      camera.source === "given" ? "" : reason,
+      corrected,
+    );
     const {kind} = this.choice;
     if (kind !== "fov" || document.activeElement !== this.fov) this.fov.value = known.fovX.toFixed(1);
     if (document.activeElement !== this.slider) this.slider.value = known.fovX;

@@ -1,6 +1,6 @@
-// The colour tables of zoedepth.colors (assets/colormaps.npz): 256 colours each, six hexadecimal digits a colour, near to
-// far as their authors order them. magma: N. Smith and S. van der Walt (CC0). turbo: A. Mikhailov, Google (Apache 2.0).
-// Spectral: C. Brewer's ColorBrewer (Apache 2.0).
+// The colour tables of zoedepth.colors (assets/colormaps.npz): 256 colours each, six hexadecimal digits a colour, near
+// to far as their authors order them. magma: N. Smith and S. van der Walt (CC0). turbo: A. Mikhailov, Google (Apache
+// 2.0). Spectral: C. Brewer's ColorBrewer (Apache 2.0).
 
 export const TABLES = {
   magma:

@@ -14,7 +14,8 @@ function bytes(digits) {
 
 /** The red, green and blue of step 0 (near) to 255 (far) of a table; `_r` at the end of a name reverses it. */
 export function color(name, step) {
-  const table = tables[name.replace(/_r$/, "")], place = 3 * (name.endsWith("_r") ? 255 - step : step);
+  const table = tables[name.replace(/_r$/, "")],
+    place = 3 * (name.endsWith("_r") ? 255 - step : step);
   return [table[place], table[place + 1], table[place + 2]];
 }
 

@@ -21,13 +21,13 @@ export class Camera {
   /** Degrees from the left to the right border. */
   get fovX() {
     const angle = (side) => Math.atan2(side, this.fx);
-    return (angle(this.cx + 0.5) + angle(this.width - this.cx - 0.5)) * 180 / Math.PI;
+    return ((angle(this.cx + 0.5) + angle(this.width - this.cx - 0.5)) * 180) / Math.PI;
   }
 }
 
 /** The focal length in pixels that sees so many degrees across a photo of this width. */
 export function focalOfView(degrees, width) {
-  return width / 2 / Math.tan(degrees * Math.PI / 360);
+  return width / 2 / Math.tan((degrees * Math.PI) / 360);
 }
 
 /** The depth of one photo, in metres along the optical axis, at the size of the photo. */
@@ -50,7 +50,8 @@ export class Depth {
 
   /** The pixel in which a place lies, or null outside of the photo. */
   pixelAt(x, y) {
-    const column = Math.floor(x + 0.5), row = Math.floor(y + 0.5);
+    const column = Math.floor(x + 0.5),
+      row = Math.floor(y + 0.5);
     return column >= 0 && row >= 0 && column < this.width && row < this.height ? {column, row} : null;
   }
 
@@ -71,22 +72,25 @@ export class Depth {
 
   /** Metres between the points that two pixels see. */
   distance(one, other) {
-    const a = this.point(one), b = this.point(other);
+    const a = this.point(one),
+      b = this.point(other);
     return Math.hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
   }
 
   /** The depths, in metres, below which these shares of the usable pixels lie. */
   quantiles(shares) {
-    const step = Math.max(1, Math.floor(this.values.length / 100000)), some = [];
+    const step = Math.max(1, Math.floor(this.values.length / 100000)),
+      some = [];
     for (let i = 0; i < this.values.length; i += step) if (this.valid[i]) some.push(this.values[i] * this.gain);
     some.sort((a, b) => a - b);
-    return shares.map((share) => some.length ? some[Math.round(share * (some.length - 1))] : 0);
+    return shares.map((share) => (some.length ? some[Math.round(share * (some.length - 1))] : 0));
   }
 
   /** The confidences below which these shares of the pixels lie. */
   confidences(shares) {
     if (!this.std) return null;
-    const step = Math.max(1, Math.floor(this.values.length / 100000)), some = [];
+    const step = Math.max(1, Math.floor(this.values.length / 100000)),
+      some = [];
     for (let i = 0; i < this.values.length; i += step) some.push(this.values[i] / (this.values[i] + this.std[i]));
     some.sort((a, b) => a - b);
     return shares.map((share) => some[Math.round(share * (some.length - 1))]);

@@ -13,7 +13,7 @@ import {Viewer} from "./viewer.js";
 
 const MOST_SIDE = 4096; // pixels of a photo that is drawn; phones draw no larger ones
 const SURFACE_TRIANGLES = 150_000;
-const UNSURE_SHARES = [0.02, 0.6]; // the share of the pixels that is covered wholly, and the share that is covered at all
+const UNSURE_SHARES = [0.02, 0.6]; // shares of the pixels that are covered wholly, and at all
 const FILES = [
   {format: "png", name: "PNG", ending: "_depth.png", what: "16 bits"},
   {format: "exr", name: "EXR", ending: ".exr", what: "exact metres"},
@@ -33,7 +33,8 @@ const state = {
   photo: null, // {blob, name, picture}
   calibrating: false, // true while metres are put right by what was typed
   calibration: null, // the service's answer
-  facts: null, depth: null, // of the photo, as the service answered last
+  facts: null,
+  depth: null, // of the photo, as the service answered last
   range: [0, 1], // metres of the first and the last colour
   middle: 1, // median of the depth, metres
   references: {}, // focal length in pixels, by the name of the head, at which its metres need no correction
@@ -50,7 +51,12 @@ async function open(blob, name) {
   waiting();
   const picture = await decoded(blob);
   Object.assign(state, {
-    photo: {blob, name, picture}, calibrating: false, calibration: null, facts: null, depth: null, surface: null,
+    photo: {blob, name, picture},
+    calibrating: false,
+    calibration: null,
+    facts: null,
+    depth: null,
+    surface: null,
     references: {},
   });
   document.title = `${name} – ZoeDepth`;
@@ -87,7 +93,9 @@ async function decoded(blob) {
     const shrink = MOST_SIDE / Math.max(whole.width, whole.height);
     if (shrink >= 1) return whole;
     const small = await createImageBitmap(whole, {
-      resizeWidth: Math.round(whole.width * shrink), resizeHeight: Math.round(whole.height * shrink), resizeQuality: "high",
+      resizeWidth: Math.round(whole.width * shrink),
+      resizeHeight: Math.round(whole.height * shrink),
+      resizeQuality: "high",
     });
     whole.close();
     return small;
@@ -116,12 +124,19 @@ function listenForPhotos() {
   });
   byId("retry").addEventListener("click", () => ask());
   for (const button of document.querySelectorAll("[data-example]")) {
-    button.addEventListener("click", () => guarded(async () => {
-      const {example} = button.dataset;
-      const response = await fetch(example);
-      if (!response.ok) throw new Problem({title: "The example is missing", detail: "The service did not send it.", status: response.status});
-      await open(await response.blob(), example.split("/").pop());
-    }));
+    button.addEventListener("click", () =>
+      guarded(async () => {
+        const {example} = button.dataset;
+        const response = await fetch(example);
+        if (!response.ok)
+          throw new Problem({
+            title: "The example is missing",
+            detail: "The service did not send it.",
+            status: response.status,
+          });
+        await open(await response.blob(), example.split("/").pop());
+      }),
+    );
   }
   document.addEventListener("paste", (event) => {
     const {files} = event.clipboardData;
@@ -150,22 +165,31 @@ function listenForPhotos() {
 /** What the page asks now. */
 function question() {
   return {
-    photo: state.photo.blob, name: state.photo.name, model: byId("model").value, domain: byId("domain").value || null,
-    camera: cameraPanel.choice, calibration: state.calibration,
+    photo: state.photo.blob,
+    name: state.photo.name,
+    model: byId("model").value,
+    domain: byId("domain").value || null,
+    camera: cameraPanel.choice,
+    calibration: state.calibration,
   };
 }
 
 /** Ask for the depth of the photo as everything is set now, and show it. What was being asked before is dropped. */
 async function ask() {
   running?.abort();
-  const mine = running = new AbortController();
+  const mine = (running = new AbortController());
   const options = {signal: mine.signal, progress: showProgress};
   showProgress("send", null);
   try {
     const {readings, distances} = pins.measured;
     if (!state.calibrating) state.calibration = null;
-    else if (readings.length || distances.length) { // where all were taken away, the calibration stays as it was
-      state.calibration = await service.calibrate(question(), {readings, distances, alongRay: byId("along-ray").checked}, options);
+    else if (readings.length || distances.length) {
+      // where all were taken away, the calibration stays as it was
+      state.calibration = await service.calibrate(
+        question(),
+        {readings, distances, alongRay: byId("along-ray").checked},
+        options,
+      );
     }
     const answer = await service.maps(question(), options);
     if (mine.signal.aborted) return;
@@ -220,14 +244,16 @@ function showProgress(stage, share) {
   else byId("progress").value = share;
 }
 
-/** Keep what an answer tells of how the metres depend on the camera: depth is multiplied by focal length / reference. */
+/** Keep what an answer tells of how metres depend on the camera: depth is multiplied by focal length / reference. */
 function learnReference({domain, camera, focal_correction: factor}) {
   if (factor !== 1) state.references[domain] = camera.fy / factor;
 }
 
 /** Show the metres of a camera that was changed at once, where they are known; the service is asked in any case. */
 function rescale() {
-  const {depth, facts} = state, {camera} = cameraPanel, reference = state.references[facts?.domain];
+  const {depth, facts} = state,
+    {camera} = cameraPanel,
+    reference = state.references[facts?.domain];
   if (!depth || !camera || !reference || state.calibrating) return;
   depth.gain = camera.fy / reference / facts.focal_correction;
   depth.camera = camera;
@@ -249,7 +275,8 @@ function showProblem(error) {
     byId("token").focus();
   }
   byId("retry").hidden = ![0, 408, 429, 503].includes(error.status) || byId("work").hidden;
-  byId("problem-title").textContent = error instanceof Problem ? `${error.title}.` : "Something went wrong in this page.";
+  byId("problem-title").textContent =
+    error instanceof Problem ? `${error.title}.` : "Something went wrong in this page.";
   byId("problem-detail").textContent = error instanceof Problem ? error.detail : error.message;
   byId("problem").hidden = false;
 }
@@ -267,7 +294,8 @@ function showAnswer() {
   showDomains();
   showCalibration();
   const sure = facts.domain_probability?.[facts.domain];
-  const scene = Object.keys(facts.domain_probability ?? {}).length > 1 ? `, ${facts.domain} (${Math.round(100 * sure)} %)` : "";
+  const scene =
+    Object.keys(facts.domain_probability ?? {}).length > 1 ? `, ${facts.domain} (${Math.round(100 * sure)} %)` : "";
   byId("about").textContent = `${photo.name}, ${depth.width} × ${depth.height}${scene}`;
   byId("unshown").hidden = photo.picture !== null;
   byId("confidence-label").hidden = !depth.std;
@@ -280,13 +308,14 @@ function showDepth() {
   const {depth} = state;
   if (!depth) return;
   byId("legend").hidden = state.space !== null;
-  const typed = (id) => byId(id).valueAsNumber > 0 || byId(id).value === "0" ? byId(id).valueAsNumber : undefined;
+  const typed = (id) => (byId(id).valueAsNumber > 0 || byId(id).value === "0" ? byId(id).valueAsNumber : undefined);
   const fixed = {near: typed("near"), far: typed("far")};
   const contrary = fixed.near >= fixed.far;
   byId("far").setCustomValidity(contrary ? "must be beyond the near one" : "");
   state.range = colorRange(depth, contrary ? {} : fixed);
   [state.middle] = depth.quantiles([0.5]);
-  const colormap = byId("colormap").value, overlay = byId("confidence").checked && depth.std !== null;
+  const colormap = byId("colormap").value,
+    overlay = byId("confidence").checked && depth.std !== null;
   byId("unsure-chip").hidden = byId("confidence-hint").hidden = !overlay;
   viewer.paint({colormap, range: state.range, confidence: overlay ? depth.confidences(UNSURE_SHARES) : null});
   drawBar({bar: byId("bar"), marks: byId("ticks"), text: byId("legend-text")}, colormap, state.range);
@@ -306,21 +335,27 @@ function showPoint(pixel) {
 }
 
 function showDomains() {
-  const {facts} = state, select = byId("domain"), names = Object.keys(facts.domain_probability ?? {});
+  const {facts} = state,
+    select = byId("domain"),
+    names = Object.keys(facts.domain_probability ?? {});
   byId("domain-label").hidden = names.length < 2;
   if (select.options.length) return;
   select.append(new Option("as the model finds", ""), ...names.map((name) => new Option(name, name)));
 }
 
 function showCalibration() {
-  const found = state.calibration?.calibration, {readings, distances} = pins.measured;
+  const found = state.calibration?.calibration,
+    {readings, distances} = pins.measured;
   byId("calibrated").hidden = !found;
   if (found) {
     const percent = (share) => `${Math.round(100 * share)} %`;
     const left = found.readings.filter((reading) => reading.outlier).length;
-    const outliers = left ? ` ${left} of ${found.n_readings} did not fit the others and ${left > 1 ? "were" : "was"} left out.` : "";
-    byId("calibrated-text").textContent = `Calibrated: all metres times ${found.scale.toFixed(3)}. Four pixels of five are `
-      + `expected to be right within ${percent(found.expected_error)}.${outliers}`;
+    const outliers = left
+      ? ` ${left} of ${found.n_readings} did not fit the others and ${left > 1 ? "were" : "was"} left out.`
+      : "";
+    byId("calibrated-text").textContent =
+      `Calibrated: all metres times ${found.scale.toFixed(3)}. Four pixels of five are ` +
+      `expected to be right within ${percent(found.expected_error)}.${outliers}`;
   }
   byId("no-pins").hidden = pins.pins.length > 0;
   byId("calibrate-tools").hidden = pins.pins.length === 0;
@@ -335,14 +370,16 @@ function showCalibration() {
 async function showSpace(kind) {
   state.space = kind;
   const flat = kind === null;
-  press(...flat ? [byId("show-picture"), byId("show-space")] : [byId("show-space"), byId("show-picture")]);
+  press(...(flat ? [byId("show-picture"), byId("show-space")] : [byId("show-space"), byId("show-picture")]));
   byId("stage").hidden = !flat;
   byId("zoom-tools").hidden = !flat;
   byId("space").hidden = flat;
   byId("reading").hidden = !flat;
   byId("legend").hidden = !flat || !state.depth;
   if (flat || !state.depth) return;
-  press(...kind === "cloud" ? [byId("show-cloud"), byId("show-surface")] : [byId("show-surface"), byId("show-cloud")]);
+  press(
+    ...(kind === "cloud" ? [byId("show-cloud"), byId("show-surface")] : [byId("show-surface"), byId("show-cloud")]),
+  );
   const {depth, photo} = state;
   try {
     await scene.start();
@@ -366,7 +403,7 @@ async function showSpace(kind) {
 // ---------------------------------------------------------------------------------------------- files and programs
 
 async function fetchFile(format, query = {}) {
-  const mine = running = new AbortController();
+  const mine = (running = new AbortController());
   showProgress("send", null);
   try {
     return await service.file(question(), {format, ...query}, {signal: mine.signal, progress: showProgress});
@@ -396,7 +433,10 @@ function listFiles(formats) {
     }
   }
   const calibration = tile("JSON", "calibration", () => {
-    save(new Blob([`${JSON.stringify(state.calibration, null, 2)}\n`], {type: "application/json"}), `${stem()}${CALIBRATION_ENDING}`);
+    save(
+      new Blob([`${JSON.stringify(state.calibration, null, 2)}\n`], {type: "application/json"}),
+      `${stem()}${CALIBRATION_ENDING}`,
+    );
   });
   calibration.id = "file-calibration";
   calibration.disabled = true;
@@ -414,7 +454,8 @@ async function copyProgram() {
   try {
     await navigator.clipboard.writeText(text);
     byId("copied").textContent = "Copied.";
-  } catch { // only https and this machine itself may write to the clipboard
+  } catch {
+    // only https and this machine itself may write to the clipboard
     getSelection().selectAllChildren(byId("code"));
     byId("copied").textContent = "Selected: copy it with Ctrl+C.";
   }
@@ -454,7 +495,8 @@ function listen() {
   });
   for (const id of ["model", "domain"]) {
     byId(id).addEventListener("change", () => {
-      if (id === "model") { // another model has other heads
+      if (id === "model") {
+        // another model has other heads
         byId("domain").replaceChildren();
         state.references = {};
       }
@@ -491,15 +533,19 @@ function listen() {
 /** Ask what there is to choose from. */
 async function start() {
   const {models, default: chosen, formats = []} = await service.models();
-  byId("model").replaceChildren(...models.map(({name, what, licence}) => {
-    const option = new Option(name, name, false, name === chosen);
-    option.title = [what, licence && `licence: ${licence}`].filter(Boolean).join("; ");
-    return option;
-  }));
+  byId("model").replaceChildren(
+    ...models.map(({name, what, licence}) => {
+      const option = new Option(name, name, false, name === chosen);
+      option.title = [what, licence && `licence: ${licence}`].filter(Boolean).join("; ");
+      return option;
+    }),
+  );
   if (!byId("files").children.length) listFiles(formats);
   if (state.photo) await ask();
 }
 
 listen();
-Scene.canAugment().then((can) => { byId("augmented").hidden = !can; });
+Scene.canAugment().then((can) => {
+  byId("augmented").hidden = !can;
+});
 guarded(start);

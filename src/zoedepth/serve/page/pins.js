@@ -9,7 +9,7 @@ export class Pins extends EventTarget {
   constructor({viewer, list, marks, lines}) {
     super();
     Object.assign(this, {viewer, list, marks, lines, depth: null});
-    this.pins = []; // {column, row, measured, length}: metres that were typed, of the pin and of the way from the one before
+    this.pins = []; // {column, row, measured, length}: typed metres, of it and of the way from the one before
     viewer.addEventListener("view", () => this.place());
     this.marks.replaceChildren();
   }
@@ -49,7 +49,8 @@ export class Pins extends EventTarget {
 
   /** What was typed, as the service takes it. */
   get measured() {
-    const readings = [], distances = [];
+    const readings = [],
+      distances = [];
     this.pins.forEach((pin, i) => {
       if (pin.measured) readings.push([pin.column, pin.row, pin.measured]);
       const before = this.pins[i - 1];
@@ -77,11 +78,18 @@ export class Pins extends EventTarget {
     this.lines.replaceChildren();
     if (!this.depth) return;
     this.pins.forEach((pin, i) => {
-      const reading = this.depth.read(pin), number = i + 1, length = this.between(i);
+      const reading = this.depth.read(pin),
+        number = i + 1,
+        length = this.between(i);
       const text = reading.valid ? metres(reading.depth) : "no depth here";
       if (i > 0) this.list.append(this.lengthRow(pin, number, length));
       this.list.append(this.pinRow(pin, i, reading, text));
-      pin.mark = element("div", {className: "mark"}, element("i"), element("span", {}, element("b", {textContent: number}), text));
+      pin.mark = element(
+        "div",
+        {className: "mark"},
+        element("i"),
+        element("span", {}, element("b", {textContent: number}), text),
+      );
       this.marks.append(pin.mark);
       if (i > 0) {
         pin.line = document.createElementNS("http://www.w3.org/2000/svg", "line");
@@ -98,9 +106,14 @@ export class Pins extends EventTarget {
   pinRow(pin, index, reading, text) {
     const number = index + 1;
     const sure = reading.valid && reading.std !== null ? `± ${metres(reading.std)}` : "";
-    const value = element("div", {},
-      element("strong", {textContent: text}), " ", element("em", {textContent: sure}),
-      element("small", {textContent: `column ${pin.column}, row ${pin.row}`}));
+    const value = element(
+      "div",
+      {},
+      element("strong", {textContent: text}),
+      " ",
+      element("em", {textContent: sure}),
+      element("small", {textContent: `column ${pin.column}, row ${pin.row}`}),
+    );
     const remove = element("button", {type: "button", className: "plain small", textContent: "✕"});
     remove.setAttribute("aria-label", `Remove pin ${number}`);
     remove.addEventListener("click", () => this.remove(index));
@@ -109,18 +122,37 @@ export class Pins extends EventTarget {
   }
 
   lengthRow(pin, number, length) {
-    const value = element("div", {},
+    const value = element(
+      "div",
+      {},
       element("strong", {textContent: length === null ? "–" : metres(length)}),
-      element("small", {textContent: `${number - 1} to ${number}, camera: ${SAYS[this.depth.camera.source]}`}));
-    const measured = this.field(pin, "length", `Measured metres from pin ${number - 1} to pin ${number}`, number - 1,
-      length !== null);
-    return element("li", {className: "length"}, element("span", {className: "number", textContent: "↕"}), value, measured,
-      element("span"));
+      element("small", {textContent: `${number - 1} to ${number}, camera: ${SAYS[this.depth.camera.source]}`}),
+    );
+    const measured = this.field(
+      pin,
+      "length",
+      `Measured metres from pin ${number - 1} to pin ${number}`,
+      number - 1,
+      length !== null,
+    );
+    return element(
+      "li",
+      {className: "length"},
+      element("span", {className: "number", textContent: "↕"}),
+      value,
+      measured,
+      element("span"),
+    );
   }
 
   field(pin, name, label, index, usable) {
     const field = element("input", {
-      type: "number", min: "0.001", step: "any", inputMode: "decimal", placeholder: "measured", value: pin[name] ?? "",
+      type: "number",
+      min: "0.001",
+      step: "any",
+      inputMode: "decimal",
+      placeholder: "measured",
+      value: pin[name] ?? "",
       disabled: !usable,
     });
     field.setAttribute("aria-label", label);
@@ -143,7 +175,12 @@ export class Pins extends EventTarget {
       const before = this.pins[i - 1];
       if (!before || !pin.line) return;
       const from = this.viewer.toStage(before.column, before.row);
-      for (const [name, value] of [["x1", from.x], ["y1", from.y], ["x2", at.x], ["y2", at.y]]) {
+      for (const [name, value] of [
+        ["x1", from.x],
+        ["y1", from.y],
+        ["x2", at.x],
+        ["y2", at.y],
+      ]) {
         pin.line.setAttribute(name, value.toFixed(1));
       }
       move(pin.between, {x: (from.x + at.x) / 2 - 24, y: (from.y + at.y) / 2 - 11});

@@ -4,7 +4,8 @@ import {queryOf} from "./api.js";
 
 /** A command of curl, and a program in Python, that get the depth of the page's photo. */
 export function programs(root, question, {token}) {
-  const {name} = question, stem = name.replace(/\.[^.]*$/, "");
+  const {name} = question,
+    stem = name.replace(/\.[^.]*$/, "");
   const query = new URLSearchParams({...queryOf(question), format: "npz"});
   const calibration = `${stem}_calibration.json`;
   const curl = [
@@ -18,13 +19,21 @@ export function programs(root, question, {token}) {
   const files = [`    "photo": open(${JSON.stringify(name)}, "rb"),`];
   if (question.calibration) files.push(`    "calibration": open(${JSON.stringify(calibration)}, "rb"),`);
   const python = [
-    "import io", "", "import numpy as np", "import requests", "",
+    "import io",
+    "",
+    "import numpy as np",
+    "import requests",
+    "",
     "answer = requests.post(",
     `    "${new URL("v1/depth", root)}",`,
     `    params=${JSON.stringify(Object.fromEntries(query))},`,
-    "    files={", ...files.map((line) => `    ${line}`), "    },",
+    "    files={",
+    ...files.map((line) => `    ${line}`),
+    "    },",
     ...(token ? ['    headers={"Authorization": "Bearer TOKEN"},'] : []),
-    ")", "answer.raise_for_status()", 'depth = np.load(io.BytesIO(answer.content))["depth"]  # metres',
+    ")",
+    "answer.raise_for_status()",
+    'depth = np.load(io.BytesIO(answer.content))["depth"]  # metres',
   ].join("\n");
   return {curl, python};
 }

@@ -1,4 +1,4 @@
-// The photo in three dimensions, at true scale: its points, made here of the depth, or its surface, the GLB of the service.
+// The photo in three dimensions, at true scale: its points, made here of the depth, or its surface, the GLB of the API.
 // Axes are those of glTF: x to the right, y up, and the photo looks along -z from the origin; one unit is a metre.
 
 const MOST_POINTS = 400_000;
@@ -41,10 +41,12 @@ export class Scene {
 
   /** Show the points of the usable pixels in the colours of the photo. Returns how many there are. */
   showPoints(depth, photo) {
-    const step = Math.ceil(Math.sqrt(depth.width * depth.height / MOST_POINTS));
-    const columns = Math.floor((depth.width - 1) / step) + 1, rows = Math.floor((depth.height - 1) / step) + 1;
+    const step = Math.ceil(Math.sqrt((depth.width * depth.height) / MOST_POINTS));
+    const columns = Math.floor((depth.width - 1) / step) + 1,
+      rows = Math.floor((depth.height - 1) / step) + 1;
     const colors = pixelColors(photo, depth, columns, rows);
-    const places = new Float32Array(3 * columns * rows), shades = new Float32Array(3 * columns * rows);
+    const places = new Float32Array(3 * columns * rows),
+      shades = new Float32Array(3 * columns * rows);
     let n = 0;
     for (let j = 0; j < rows; j++) {
       for (let i = 0; i < columns; i++) {
@@ -69,7 +71,9 @@ export class Scene {
   /** Show a surface, a GLB. Returns its number of triangles. */
   async showSurface(glb, depth) {
     const {scene} = await new Promise((resolve, reject) => {
-      new THREE.GLTFLoader().parse(glb, "", resolve, (error) => reject(new Error(`the surface cannot be shown: ${error.message}`)));
+      new THREE.GLTFLoader().parse(glb, "", resolve, (error) =>
+        reject(new Error(`the surface cannot be shown: ${error.message}`)),
+      );
     });
     let triangles = 0;
     scene.traverse((part) => {
@@ -125,11 +129,11 @@ export class Scene {
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     const tangent = Math.max(this.depth.height / 2 / fy, this.depth.width / 2 / fx / this.camera.aspect);
-    this.camera.fov = 2 * Math.atan(tangent) * 180 / Math.PI;
+    this.camera.fov = (2 * Math.atan(tangent) * 180) / Math.PI;
     this.camera.updateProjectionMatrix();
     const focal = height / 2 / tangent; // CSS pixels
     if (this.content?.isPoints) {
-      this.content.material.size = Math.max(1.2, 1.4 * this.pointStep * focal / fy) * this.renderer.getPixelRatio();
+      this.content.material.size = Math.max(1.2, (1.4 * this.pointStep * focal) / fy) * this.renderer.getPixelRatio();
     }
     this.draw();
   }
@@ -144,7 +148,7 @@ export class Scene {
     });
   }
 
-  /** True where the browser can put the scene into the room around (WebXR, which needs https or this machine itself). */
+  /** True where the browser can put the scene into the room around: WebXR, by https or from this machine itself. */
   static async canAugment() {
     try {
       return Boolean(await navigator.xr?.isSessionSupported("immersive-ar"));

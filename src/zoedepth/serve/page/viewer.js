@@ -1,16 +1,18 @@
 // The picture: the photo and its depth with a border between them that can be moved, enlarged and moved about. It says
 // which pixel of the photo is under the pointer, at the size of the photo, whatever the size on the screen.
 //
-// Three units: pixels of the photo (x, y; the centre of the first is at 0), CSS pixels from the corner of the stage, and
-// pixels of the screen (devicePixelRatio to one of CSS).
+// Three units: pixels of the photo (x, y; the centre of the first is at 0), CSS pixels from the corner of the stage,
+// and pixels of the screen (devicePixelRatio to one of CSS).
 
 import {packedColors, pack} from "./colors.js";
 
 const LARGEST = 40; // CSS pixels that one pixel of the photo takes at most
 const STEP = 1.4; // of the buttons and keys for nearer and farther
 const STILL = 5; // CSS pixels that a pointer may move in a click
-const HATCH = [pack([116, 116, 122]), pack([172, 172, 178])], HATCH_WIDTH = 4;
-const UNSURE = [0, 214, 200], UNSURE_MOST = 0.92; // colour of what the model is least sure of, and how much of it
+const HATCH = [pack([116, 116, 122]), pack([172, 172, 178])],
+  HATCH_WIDTH = 4;
+const UNSURE = [0, 214, 200],
+  UNSURE_MOST = 0.92; // colour of what the model is least sure of, and how much of it
 
 /**
  * Dispatches: "point" (detail: a pixel or null), when the pointer is elsewhere; "pick" (detail: a pixel), at a click;
@@ -72,14 +74,18 @@ export class Viewer extends EventTarget {
   zoom(factor, at = {x: this.width / 2, y: this.height / 2}) {
     if (!this.size) return;
     const scale = Math.min(Math.max(this.scale * factor, this.smallest), Math.max(LARGEST, this.smallest));
-    this.left = at.x - (at.x - this.left) * scale / this.scale;
-    this.top = at.y - (at.y - this.top) * scale / this.scale;
+    this.left = at.x - ((at.x - this.left) * scale) / this.scale;
+    this.top = at.y - ((at.y - this.top) * scale) / this.scale;
     this.scale = scale;
     this.place();
   }
 
-  nearer() { this.zoom(STEP); }
-  farther() { this.zoom(1 / STEP); }
+  nearer() {
+    this.zoom(STEP);
+  }
+  farther() {
+    this.zoom(1 / STEP);
+  }
 
   /** True while not all of the photo is in the stage. */
   get enlarged() {
@@ -105,7 +111,7 @@ export class Viewer extends EventTarget {
   onStage(clientX, clientY) {
     const box = this.canvas.getBoundingClientRect();
     // The box may be drawn larger or smaller than it was laid out, by the zoom of a phone.
-    return {x: (clientX - box.left) * this.width / box.width, y: (clientY - box.top) * this.height / box.height};
+    return {x: ((clientX - box.left) * this.width) / box.width, y: ((clientY - box.top) * this.height) / box.height};
   }
 
   /** Column on the stage, in CSS pixels, where the photo ends and its depth begins. */
@@ -119,8 +125,11 @@ export class Viewer extends EventTarget {
   resize() {
     const {width, height} = this.stage.getBoundingClientRect();
     if (!width || !height) return;
-    const wasFit = !this.enlarged, middle = this.size && this.width
-      ? {x: (this.width / 2 - this.left) / this.scale, y: (this.height / 2 - this.top) / this.scale} : null;
+    const wasFit = !this.enlarged,
+      middle =
+        this.size && this.width
+          ? {x: (this.width / 2 - this.left) / this.scale, y: (this.height / 2 - this.top) / this.scale}
+          : null;
     this.width = this.stage.clientWidth;
     this.height = this.stage.clientHeight;
     this.ratio = window.devicePixelRatio || 1;
@@ -135,7 +144,8 @@ export class Viewer extends EventTarget {
 
   /** Keep the photo in the stage: in the middle where there is room, without a gap where there is none. */
   place() {
-    const within = (offset, room, side) => side <= room ? (room - side) / 2 : Math.min(0, Math.max(room - side, offset));
+    const within = (offset, room, side) =>
+      side <= room ? (room - side) / 2 : Math.min(0, Math.max(room - side, offset));
     this.left = within(this.left, this.width, this.size[1] * this.scale);
     this.top = within(this.top, this.height, this.size[0] * this.scale);
     this.changed();
@@ -171,15 +181,29 @@ export class Viewer extends EventTarget {
       context.clip();
       context.imageSmoothingEnabled = this.scale * ratio < 3;
       context.imageSmoothingQuality = "high";
-      context.drawImage(this.photo, this.left * ratio, this.top * ratio,
-        this.size[1] * this.scale * ratio, this.size[0] * this.scale * ratio);
+      context.drawImage(
+        this.photo,
+        this.left * ratio,
+        this.top * ratio,
+        this.size[1] * this.scale * ratio,
+        this.size[0] * this.scale * ratio,
+      );
       context.restore();
     }
     if (!this.depth) return;
     const first = this.photo ? border : 0;
     if (first < canvas.width) {
-      context.drawImage(this.layer, first, 0, canvas.width - first, canvas.height,
-        first, 0, canvas.width - first, canvas.height);
+      context.drawImage(
+        this.layer,
+        first,
+        0,
+        canvas.width - first,
+        canvas.height,
+        first,
+        0,
+        canvas.width - first,
+        canvas.height,
+      );
     }
     if (this.photo && border > 0 && border < canvas.width) {
       context.fillStyle = "#fff";
@@ -190,14 +214,21 @@ export class Viewer extends EventTarget {
   /** Colour what is seen of the depth, each pixel of the screen by the pixel of the photo that it lies in. */
   drawDepth() {
     const {depth, ratio, layer} = this;
-    const width = layer.width = this.canvas.width, height = layer.height = this.canvas.height;
-    const context = layer.getContext("2d"), picture = context.createImageData(width, height);
-    const screen = new Uint32Array(picture.data.buffer), colors = packedColors(this.look.colormap);
-    const columns = Int32Array.from({length: width},
-      (_, i) => Math.floor(((i + 0.5) / ratio - this.left) / this.scale));
+    const width = (layer.width = this.canvas.width),
+      height = (layer.height = this.canvas.height);
+    const context = layer.getContext("2d"),
+      picture = context.createImageData(width, height);
+    const screen = new Uint32Array(picture.data.buffer),
+      colors = packedColors(this.look.colormap);
+    const columns = Int32Array.from({length: width}, (_, i) =>
+      Math.floor(((i + 0.5) / ratio - this.left) / this.scale),
+    );
     const [near, far] = this.look.range.map((value) => value / depth.gain);
-    const {values, valid, std} = depth, steps = 255 / (far - near), hatch = HATCH_WIDTH * ratio;
-    const [low, high] = this.look.confidence ?? [0, 0], fades = this.look.confidence && std;
+    const {values, valid, std} = depth,
+      steps = 255 / (far - near),
+      hatch = HATCH_WIDTH * ratio;
+    const [low, high] = this.look.confidence ?? [0, 0],
+      fades = this.look.confidence && std;
     for (let y = 0; y < height; y++) {
       const row = Math.floor(((y + 0.5) / ratio - this.top) / this.scale);
       if (row < 0 || row >= depth.height) continue;
@@ -212,7 +243,8 @@ export class Viewer extends EventTarget {
         const step = Math.round((values[i] - near) * steps);
         const plain = colors[step < 0 ? 0 : step > 255 ? 255 : step];
         screen[y * width + x] = fades
-          ? mixed(plain, Math.min(Math.max((high - values[i] / (values[i] + std[i])) / (high - low || 1), 0), 1)) : plain;
+          ? mixed(plain, Math.min(Math.max((high - values[i] / (values[i] + std[i])) / (high - low || 1), 0), 1))
+          : plain;
       }
     }
     context.putImageData(picture, 0, 0);
@@ -226,12 +258,19 @@ export class Viewer extends EventTarget {
     stage.addEventListener("pointerleave", (event) => {
       if (event.pointerType === "mouse") this.point(null);
     });
-    stage.addEventListener("wheel", (event) => {
-      if (!this.size) return;
-      event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 30 : 1) / 500), this.onStage(event.clientX, event.clientY));
-      this.point(this.pixelAt(event.clientX, event.clientY));
-    }, {passive: false});
+    stage.addEventListener(
+      "wheel",
+      (event) => {
+        if (!this.size) return;
+        event.preventDefault();
+        this.zoom(
+          Math.exp((-event.deltaY * (event.deltaMode ? 30 : 1)) / 500),
+          this.onStage(event.clientX, event.clientY),
+        );
+        this.point(this.pixelAt(event.clientX, event.clientY));
+      },
+      {passive: false},
+    );
     stage.addEventListener("keydown", (event) => this.key(event));
     this.splitter.addEventListener("input", () => this.request());
   }
@@ -287,7 +326,8 @@ export class Viewer extends EventTarget {
       const from = this.cursor ?? {column: this.size[1] >> 1, row: this.size[0] >> 1};
       const clipped = (value, side) => Math.min(Math.max(value, 0), side - 1);
       const pixel = {
-        column: clipped(from.column + moves[0] * far, this.size[1]), row: clipped(from.row + moves[1] * far, this.size[0]),
+        column: clipped(from.column + moves[0] * far, this.size[1]),
+        row: clipped(from.row + moves[1] * far, this.size[0]),
       };
       this.reveal(pixel);
       this.point(pixel);
@@ -311,7 +351,8 @@ export class Viewer extends EventTarget {
 
   /** Move the photo so far that a pixel is seen. */
   reveal({column, row}) {
-    const at = this.toStage(column, row), margin = 24;
+    const at = this.toStage(column, row),
+      margin = 24;
     this.left += Math.max(0, margin - at.x) - Math.max(0, at.x - (this.width - margin));
     this.top += Math.max(0, margin - at.y) - Math.max(0, at.y - (this.height - margin));
     this.place();
@@ -324,6 +365,7 @@ export class Viewer extends EventTarget {
 }
 
 function mixed(color, unsure) {
-  const share = unsure * UNSURE_MOST, mix = (part, other) => Math.round(part + (other - part) * share);
+  const share = unsure * UNSURE_MOST,
+    mix = (part, other) => Math.round(part + (other - part) * share);
   return pack([mix(color & 255, UNSURE[0]), mix((color >> 8) & 255, UNSURE[1]), mix((color >> 16) & 255, UNSURE[2])]);
 }
