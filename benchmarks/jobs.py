@@ -117,8 +117,14 @@ def lose_a_node(*, photos: int = 60) -> int:
         return _report(folder, photos)
 
 
-def overhead(*, photos: int = 1000, turns: int = 5) -> int:
-    """Compare, in turns, photos that are only predicted with the same photos as a job: seconds of the processor."""
+def overhead(*, photos: int = 1000, turns: int = 5, network: bool = True) -> int:
+    """Compare, in turns, photos that are only predicted with the same photos as a job: seconds of the processor.
+
+    Args:
+        photos: of all turns together.
+        turns: how often each is done.
+        network: False predicts tiny photos without one, so that nothing but the work around it is counted.
+    """
     from zoedepth import Predictor, load_model
     from zoedepth.batch import Request, find_photos, predict_all, share_cores
     from zoedepth.jobs.inputs import Sources
@@ -129,8 +135,8 @@ def overhead(*, photos: int = 1000, turns: int = 5) -> int:
     request = Request("zoed-lite", ("depth",))
     with tempfile.TemporaryDirectory() as name, share_cores(1):
         folder = Path(name)
-        write_photos(folder / "in", photos // turns)
-        predictor = Predictor(load_model("zoed-lite"), flip_average=False)
+        write_photos(folder / "in", photos // turns, size=(480, 640) if network else (8, 8))
+        predictor: Any = Predictor(load_model("zoed-lite"), flip_average=False) if network else _Nothing()
 
         def plain(out: Path) -> None:
             for outcome in predict_all(find_photos([str(folder / "in")], out).photos, predictor, request):
@@ -153,8 +159,11 @@ def overhead(*, photos: int = 1000, turns: int = 5) -> int:
                 seconds[kind].append(_processor_seconds(lambda work=work, out=out: work(out)))
                 shutil.rmtree(out)
         ratios = [job / plain for job, plain in zip(seconds["job"], seconds["plain"], strict=True)]
-        print(f"photos of 640 x 480, {photos // turns} in each of {turns} turns, one core")
-        print(f"processor seconds a photo: {statistics.median(seconds['plain']) / (photos // turns):.4f} plain")
+        n = photos // turns
+        more = [(job - plain) / n for job, plain in zip(seconds["job"], seconds["plain"], strict=True)]
+        print(f"{n} photos in each of {turns} turns, {'zoed-lite' if network else 'without a network'}, one core")
+        print(f"processor time of a photo: {1000 * statistics.median(seconds['plain']) / n:.2f} ms plain; a job takes")
+        print(f"{1000 * statistics.median(more):.2f} ms more ({1000 * min(more):.2f} - {1000 * max(more):.2f})")
         print(f"a job takes {statistics.median(ratios):.4f} times as long ({min(ratios):.4f} - {max(ratios):.4f})")
     return 0
 
