@@ -107,7 +107,13 @@ class _Processes(Multiprocess):
 
     ended_by = signal.SIGTERM
 
+    def keep_subprocess_alive(self) -> None:
+        """Replace processes that have died. One that is slow, on a busy machine, is waited for."""
+        if not all(process.process.is_alive() for process in self.processes):
+            super().keep_subprocess_alive()
+
     def handle_int(self) -> None:
+        """Remember the signal, and end."""
         self.ended_by = signal.SIGINT
         super().handle_int()
 
