@@ -13,6 +13,7 @@ from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.model.encoder import Encoder
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.presets import INDOOR, OUTDOOR
 from zoedepth.train.start import start_from
 from zoedepth.weights.layouts import midas
 from zoedepth.weights.load import save_model
@@ -183,9 +184,9 @@ def test_model_of_the_same_config_gives_all_weights(tiny_config: ModelConfig, tm
     "change",
     [
         {"router": RouterConfig("trained", classifier="transformer", width=16)},
-        {"size": (32, 96)},
+        {"domains": (dataclasses.replace(INDOOR, max_depth=5.0), OUTDOOR)},
     ],
-    ids=["router", "size"],
+    ids=["router", "range"],
 )
 def test_model_of_another_config_gives_encoder_and_decoder(
     tiny_config: ModelConfig, tmp_path: Path, change: dict[str, object]
@@ -237,3 +238,12 @@ def test_the_same_network_in_another_camera_starts_with_all_weights(
     model = ZoeDepth(dataclasses.replace(tiny_config, domains=domains, canonical_camera=True))
     assert start_from(model, str(tmp_path / "old.safetensors")).startswith("all weights of")
     assert all(torch.equal(value, tiny_model.state_dict()[name]) for name, value in model.state_dict().items())
+
+
+def test_a_training_on_small_photos_goes_on_with_large_ones(
+    tiny_config: ModelConfig, tiny_model: ZoeDepth, tmp_path: Path
+) -> None:
+    save_model(tiny_model, tmp_path / "small.safetensors")
+    model = make(dataclasses.replace(tiny_config, size=(96, 128)), seed=1)
+    assert "all weights" in start_from(model, str(tmp_path / "small.safetensors"))
+    assert parts_from(model, tiny_model) == {name.split(".")[0] for name in tiny_model.state_dict()}

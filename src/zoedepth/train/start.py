@@ -1,11 +1,12 @@
 """The weights that a training starts from."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 from torch import nn
 
-from zoedepth.config import ModelConfig, without_camera
+from zoedepth.config import AnyModelConfig, ModelConfig, without_camera
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
@@ -24,7 +25,8 @@ def start_from(model: DepthModel, source: str | None) -> str:
         source: None keeps the random weights. "imagenet" loads the encoder's ImageNet weights, from an installed
             package if there is one, else timm's, which are downloaded once. Anything else is a name or path for
             ``load_model``: the result of stage 1, MiDaS's weights, a released model. Encoder and decoder are taken
-            from it, and also the heads and the router if both configs are equal but for the camera.
+            from it, and also the heads and the router if both configs are equal but for the camera and the size of the
+            photos (a training may begin on small photos and go on with large ones).
 
     Returns:
         A description of what was loaded, for the log.
@@ -41,7 +43,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
         raise InputError(f"{source} is an exported file, which cannot be trained: give what it was exported from")
     other = load_model(source)
     model.provenance = other.provenance
-    if without_camera(other.config) == without_camera(model.config):
+    if _alike(other.config, model.config) and not misfits(model.state_dict(), other.state_dict()):
         model.load_state_dict(other.state_dict())
         return f"all weights of {source}"
     if not isinstance(model, ZoeDepth) or not isinstance(other, ZoeDepth):
@@ -62,6 +64,11 @@ def start_from(model: DepthModel, source: str | None) -> str:
     model.encoder.load_state_dict(other.encoder.state_dict())
     model.decoder.load_state_dict(other.decoder.state_dict())
     return f"encoder and decoder of {source}, heads and router random"
+
+
+def _alike(one: AnyModelConfig, other: AnyModelConfig) -> bool:
+    """Return True if two configs are equal but for the camera and the size of the photos."""
+    return replace(without_camera(one), size=other.size) == without_camera(other)
 
 
 def _load_imagenet(model: DepthModel) -> None:
