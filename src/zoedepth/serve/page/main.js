@@ -42,6 +42,7 @@ const state = {
   space: null, // null, "cloud" or "surface": what is shown in place of the picture
 };
 let running = null; // an AbortController of what is asked now
+let opened = 0; // photos that were opened
 
 // ---------------------------------------------------------------------------------------------- choosing a photo
 
@@ -49,7 +50,9 @@ async function open(blob, name) {
   hideProblem();
   running?.abort();
   waiting();
+  const mine = ++opened;
   const picture = await decoded(blob);
+  if (mine !== opened) return; // another photo came while this one was being read
   Object.assign(state, {
     photo: {blob, name, picture},
     calibrating: false,
