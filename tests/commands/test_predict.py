@@ -537,11 +537,11 @@ class TestJobs:
             "with command._terminated_as_interrupted(report._give_up):\n"
             "    try:\n"
             "        os.kill(os.getpid(), signal.SIGTERM)\n"
-            "        time.sleep(60)\n"
+            "        time.sleep(600)\n"
             "    except KeyboardInterrupt:\n"
-            "        time.sleep(60)\n"
+            "        time.sleep(600)\n"
         )
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=50)
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=600)
         assert done.returncode == 143
         assert "Terminated: 7 photos written" in done.stderr
         assert "type the same command again" in " ".join(done.stderr.split())
