@@ -325,7 +325,7 @@ def _attack(service: Service, photos: list[bytes], answers: list[bytes], n_reque
             if status not in (429, 503):
                 break
             counted[f"told to come again ({status})"] += 1
-            time.sleep(0.05)
+            time.sleep(random.uniform(0.2, 1))
         counted["honest"] += 1
         if status != 200 or body != answers[number]:
             wrong[f"an honest request got {status}, or another depth"] += 1
@@ -338,7 +338,7 @@ def _attack(service: Service, photos: list[bytes], answers: list[bytes], n_reque
             elif what in bodies:
                 body, allowed = bodies[what]
                 while (status := ask(port, "/v1/depth", body)[0]) in (429, 503):
-                    time.sleep(0.05)
+                    time.sleep(random.uniform(0.2, 1))
                 counted[f"hostile, {status}"] += 1
                 if status not in allowed:
                     wrong[f"{what}: {status}"] += 1
@@ -346,7 +346,7 @@ def _attack(service: Service, photos: list[bytes], answers: list[bytes], n_reque
                 function, allowed = manners[what]
                 status = function()
                 counted[f"hostile, {status or 'no answer'}"] += 1
-                if status not in (*allowed, 503):
+                if status not in (*allowed, 429, 503):
                     wrong[f"{what}: {status}"] += 1
         except (OSError, HTTPException) as error:
             wrong[f"{what}: {type(error).__name__}"] += 1

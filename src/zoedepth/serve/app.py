@@ -120,7 +120,7 @@ def create_app(settings: Settings | None = None) -> Service:
             allow_headers=["authorization", "content-type"],
             expose_headers=["server-timing", "retry-after", "content-disposition"],
         )
-    guard = Guard(inner, settings, metrics, on_close=engine.close)
+    guard = Guard(inner, settings, metrics, admit=engine.admit, on_close=engine.close)
     return Service(guard, engine)
 
 
@@ -156,7 +156,6 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
     )
     async def depth(request: Request, query: Annotated[DepthQuery, Query()]) -> Response:
         """Return the depth in metres of a photo, as a file in the format that is asked for."""
-        engine.gate.check()
         with told():
             options, model = query.options(), named(query)
             wanted = choose_format(query.format, request.headers.get("accept"))
@@ -179,7 +178,6 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
     )
     async def measure(request: Request, query: Annotated[CalibratedQuery, Query()]) -> Response:
         """Return the depth at points of a photo, and the distance in space between the points of pairs."""
-        engine.gate.check()
         with told():
             model = named(query)
         parts = await read_parts(request, (PHOTO, "points", "pairs", "calibration"))
@@ -206,7 +204,6 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
     )
     async def calibrate(request: Request, query: Annotated[CalibrationQuery, Query()]) -> Response:
         """Return the calibration that brings the depth of a photo to what was measured: see `zoedepth calibrate`."""
-        engine.gate.check()
         with told():
             model = named(query)
         parts = await read_parts(request, (PHOTO, "readings", "distances"))

@@ -177,6 +177,14 @@ class Engine:
         for threads in (self._lookers, self._workers, self._runners):
             threads.shutdown(wait=False, cancel_futures=True)
 
+    def admit(self) -> None:
+        """Refuse a photo for which there is no place in the queue: asked before its body is read.
+
+        Raises:
+            Problem: the queue is full, or the service shuts down.
+        """
+        self.gate.check()
+
     @property
     def is_computing(self) -> bool:
         """True while threads compute something."""

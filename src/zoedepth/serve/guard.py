@@ -69,18 +69,25 @@ class Guard:
         app: the application that is guarded.
         settings: the settings of the service.
         metrics: where requests are counted.
+        admit: function that raises a ``Problem`` for a photo for which there is no room, whatever it is.
         on_close: function that is called when the service begins to shut down.
     """
 
     def __init__(
-        self, app: Application, settings: Settings, metrics: Metrics, *, on_close: Callable[[], None] = lambda: None
+        self,
+        app: Application,
+        settings: Settings,
+        metrics: Metrics,
+        *,
+        admit: Callable[[], None] = lambda: None,
+        on_close: Callable[[], None] = lambda: None,
     ) -> None:
         self._app = app
         self._settings = settings
         self._metrics = metrics
         self._n_uploads = 0
         self._held = 0
-        self._on_close = on_close
+        self._admit, self._on_close = admit, on_close
         self.closing = asyncio.Event()
         """Set when the service begins to shut down."""
 
@@ -132,6 +139,8 @@ class Guard:
         limit = self._settings.limits.max_body
         if exchange.length is not None and exchange.length > limit:
             raise too_large(limit)
+        if scope["method"] == "POST" and path.startswith("/v1/"):
+            self._admit()
 
     def _check_origin(self, headers: dict[str, str]) -> None:
         origin = headers.get("origin")
