@@ -36,7 +36,7 @@ def test_another_process_has_it_until_it_is_killed(tmp_path: Path) -> None:
         process.kill()
         process.wait()
     with only_one(manifest):
-        assert (tmp_path / ".m.jsonl.lock").read_text() == this_process()
+        assert (tmp_path / "m.jsonl.lock").read_text() == this_process()
 
 
 def test_two_manifests_of_a_folder_are_no_matter(tmp_path: Path) -> None:

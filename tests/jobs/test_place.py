@@ -19,9 +19,7 @@ def test_a_folder_is_made_and_has_a_manifest_for_each_shard(tmp_path: Path) -> N
             manifest.begin({}, named=False)
         assert (out / f"{name}.jsonl").is_file()
     assert {file.name for file in out.iterdir()} == {
-        f"{dot}{name}.jsonl{lock}"
-        for name in ("zoedepth-manifest", "zoedepth-manifest-0-of-2")
-        for dot, lock in (("", ""), (".", ".lock"))
+        f"{name}.jsonl{lock}" for name in ("zoedepth-manifest", "zoedepth-manifest-0-of-2") for lock in ("", ".lock")
     }
 
 

@@ -46,7 +46,7 @@ def test_merged_it_goes_on_without_shards(job: Path) -> None:
     n_done = sum(each.done for each in read_status(str(job)))
     assert merge_shards(str(job)) == n_done
     assert {file.name for file in job.iterdir() if "manifest" in file.name} == {
-        "zoedepth-manifest.jsonl", ".zoedepth-manifest.jsonl.lock",
+        "zoedepth-manifest.jsonl", "zoedepth-manifest.jsonl.lock",
     }  # fmt: skip
     write_photo(job.parent / "in" / "bad.png")
     _, tally = run(job.parent / "in", out=job)
@@ -67,7 +67,7 @@ def test_shards_of_different_settings_are_refused_and_kept(job: Path) -> None:
     run(job.parent / "in", out=job, shard="1/3", settings={"weights": "2"})
     with pytest.raises(InputError, match="different settings"):
         merge_shards(str(job))
-    assert len(list(job.glob("zoedepth-manifest-*"))) == 3
+    assert len(list(job.glob("zoedepth-manifest-*.jsonl"))) == 3
 
 
 def test_a_running_shard_is_not_merged(job: Path) -> None:

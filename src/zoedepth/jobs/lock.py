@@ -14,6 +14,11 @@ def this_process() -> str:
     return f"process {os.getpid()} on {socket.gethostname()}"
 
 
+def lock_file(manifest: Path) -> Path:
+    """Return the file that is locked. It is not hidden: hidden ones are files that were left half written."""
+    return manifest.with_name(f"{manifest.name}.lock")
+
+
 @contextmanager
 def only_one(manifest: Path) -> Iterator[None]:
     """Hold the lock of a manifest until the block ends.
@@ -24,14 +29,14 @@ def only_one(manifest: Path) -> Iterator[None]:
     be deleted by hand, which the error says.
 
     Args:
-        manifest: the manifest. The lock is a hidden file beside it, which stays.
+        manifest: the manifest. The lock is a file beside it, which stays (``lock_file``).
 
     Raises:
         InputError: another command has the lock, or the file cannot be made.
     """
     from filelock import FileLock, SoftFileLock, Timeout
 
-    path = manifest.with_name(f".{manifest.name}.lock")
+    path = lock_file(manifest)
     lock = FileLock(path, timeout=0)
     advice = "wait for it, stop it, give each command a --shard of its own, or choose another --out"
     try:

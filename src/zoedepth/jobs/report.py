@@ -9,7 +9,7 @@ from pathlib import Path
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.jobs.destinations import Store
-from zoedepth.jobs.lock import only_one
+from zoedepth.jobs.lock import lock_file, only_one
 from zoedepth.jobs.manifest import NAME, Entry, Manifest, begin_line, manifest_name
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
@@ -144,7 +144,7 @@ def merge_shards(out: str) -> int:
                 (folder / name).unlink()
         for name in names:
             if name != whole:
-                (folder / f".{name}.lock").unlink(missing_ok=True)
+                lock_file(folder / name).unlink(missing_ok=True)
         with _opened(out, whole) as manifest:
             return manifest.n_done
 
@@ -158,7 +158,7 @@ def _opened(out: str, name: str) -> Iterator[Manifest]:
 
 
 def _is_running(manifest: Path) -> bool:
-    if not manifest.with_name(f".{manifest.name}.lock").exists():
+    if not lock_file(manifest).exists():
         return False
     try:
         with only_one(manifest):
