@@ -330,7 +330,10 @@ def targets(places: Sequence[Path], taken: Names) -> Iterator[Path]:
 
     def key(place: Path) -> str:
         # a.jpg and A.png share their files on Windows and macOS, and so do two ways to write é on macOS.
-        return unicodedata.normalize("NFC", unicodedata.normalize("NFD", str(place)).casefold())
+        name = str(place)
+        if name.isascii():  # there is nothing to normalise
+            return name.lower()
+        return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
     n_sharing = Counter(key(place.with_suffix("")) for place in places)
 
