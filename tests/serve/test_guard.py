@@ -1,10 +1,13 @@
 import http.client
 import socket
+import threading
 import time
 
 import pytest
 from tests.serve.running import Client, form_of, photo, running
 
+from zoedepth.depth_map import DepthMap
+from zoedepth.predict import Predictor
 from zoedepth.serve.guard import HEADERS, host_is_known
 from zoedepth.serve.settings import Limits, Settings
 
@@ -146,6 +149,34 @@ def test_too_many_uploads_and_too_many_bytes_are_refused(model_file: str) -> Non
         while client.ask("/v1/depth", b"x").status == 429:  # until the service sees that the other one has gone
             assert time.monotonic() < deadline
         assert client.ask("/v1/depth", b"x").status == 415
+
+
+def test_where_the_queue_is_full_a_photo_is_refused_before_its_body_comes(
+    model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+    batch = Predictor.batch
+
+    def held(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        begun.set()
+        assert go_on.wait(60)
+        return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
+
+    monkeypatch.setattr(Predictor, "batch", held)
+    with running(Settings((model_file,), threads=1, limits=Limits(queue=0))) as client:
+        statuses: list[int] = []
+        first = threading.Thread(target=lambda: statuses.append(client.ask("/v1/depth", photo()).status))
+        first.start()
+        assert begun.wait(60)
+        with client.connect() as connection:
+            connection.sendall(HEAD + b"Content-Length: 1000\r\n\r\n")
+            answer = connection.recv(65536)
+        assert answer.startswith(b"HTTP/1.1 429")
+        assert b"retry-after: " in answer
+        assert client.ask("/v1/models").status == 200
+        go_on.set()
+        first.join()
+        assert statuses == [200]
 
 
 def test_what_is_held_is_let_go(client: Client) -> None:
