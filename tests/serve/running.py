@@ -45,9 +45,15 @@ class Answer(NamedTuple):
 class Client:
     """A client of a service on this machine."""
 
-    def __init__(self, port: int, service: Service) -> None:
+    def __init__(self, port: int, service: Service, server: uvicorn.Server) -> None:
         self.port = port
         self.service = service
+        self._server = server
+
+    @property
+    def n_connections(self) -> int:
+        """Connections that the service has open, to all clients."""
+        return len(self._server.server_state.connections)
 
     def ask(
         self, path: str, body: bytes | None = None, *, method: str = "", headers: Mapping[str, str] | None = None
@@ -83,7 +89,7 @@ def running(settings: Settings) -> Iterator[Client]:
         assert thread.is_alive()
         time.sleep(0.005)
     try:
-        yield Client(listener.getsockname()[1], service)
+        yield Client(listener.getsockname()[1], service, server)
     finally:
         server.should_exit = True
         thread.join()

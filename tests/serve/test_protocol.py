@@ -1,7 +1,7 @@
 import json
 import re
 import socket
-import threading
+import time
 from contextlib import suppress
 
 import pytest
@@ -37,13 +37,18 @@ def test_what_is_no_http_gets_a_problem(noise: bytes, client: Client) -> None:
 
 
 def test_a_client_that_does_not_take_its_answer_is_cut_off(model_file: str) -> None:
-    with running(Settings((model_file,), limits=Limits(idle=0.2))) as client:
+    with running(Settings((model_file,), limits=Limits(idle=0.5))) as client:
         connection = socket.socket()
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         connection.connect(("127.0.0.1", client.port))
         page = b"GET /three.min.js HTTP/1.1\r\nHost: localhost\r\n\r\n"
         connection.sendall(page * 40)  # more than the buffers of the system hold
-        threading.Event().wait(1.5)
+        deadline = time.monotonic() + 120
+        while client.n_connections == 0:  # until it is there
+            assert time.monotonic() < deadline
+        while client.n_connections:  # and until it is cut off
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
         received = 0
         with connection, suppress(ConnectionError):
             while piece := connection.recv(1 << 20):
