@@ -137,7 +137,7 @@ def service_url(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFacto
     save_model(model, file)
     settings = Settings(models=(str(file),), threads=1)
     listener = bind("127.0.0.1", 0)
-    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_level="warning"))
+    server = uvicorn.Server(uvicorn.Config(create_app(settings), log_config=None))
     thread = Thread(target=server.run, args=([listener],), daemon=True)
     thread.start()
     waits_until(lambda: server.started)

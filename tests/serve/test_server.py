@@ -1,3 +1,4 @@
+import logging
 import socket
 
 import pytest
@@ -39,3 +40,20 @@ def test_the_server_trusts_no_header_and_says_nothing_about_itself() -> None:
     assert config.timeout_graceful_shutdown == 7
     assert not config.access_log
     assert make_config(None, Settings(), access_log=True).access_log
+
+
+def test_handlers_of_other_libraries_stay_open(capsys: pytest.CaptureFixture[str]) -> None:
+    """Those of absl close the stream that they write to with themselves: with it went the output of a program."""
+    closed = []
+    theirs = logging.StreamHandler()
+    theirs.close = lambda: closed.append(theirs)
+    make_config(None, Settings(), access_log=True)
+    assert closed == []
+    logging.getLogger("uvicorn.error").error("it is broken")
+    logging.getLogger("uvicorn.access").info('%s - "%s %s HTTP/%s" %d', "1.2.3.4:5", "GET", "/readyz", "1.1", 200)
+    said = capsys.readouterr()
+    assert "it is broken" in said.err
+    assert '1.2.3.4:5 - "GET /readyz HTTP/1.1" 200' in said.out
+    make_config(None, Settings())
+    logging.getLogger("uvicorn.access").info('%s - "%s %s HTTP/%s" %d', "1.2.3.4:5", "GET", "/readyz", "1.1", 200)
+    assert capsys.readouterr().out == ""

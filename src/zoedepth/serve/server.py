@@ -1,9 +1,11 @@
 """The process or processes that serve: uvicorn, a socket, and the end of it all."""
 
 import json
+import logging
 import os
 import signal
 import socket
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +14,8 @@ from typing import Any
 
 import torch
 import uvicorn
-from uvicorn.config import LOGGING_CONFIG, STARTUP_FAILURE
+from uvicorn.config import STARTUP_FAILURE
+from uvicorn.logging import AccessFormatter, DefaultFormatter
 from uvicorn.supervisors import Multiprocess
 
 from zoedepth.batch import cpu_count
@@ -30,8 +33,6 @@ _MAX_HEAD = 32_768  # bytes of the head of a request
 _KEEP_ALIVE = 5  # seconds
 _APPLICATION = "zoedepth.serve.server:application"
 _TOLD = "ZOEDEPTH_SERVE"  # variable of the environment
-# What hostile clients send shall not fill the log.
-_LOGS = LOGGING_CONFIG | {"loggers": LOGGING_CONFIG["loggers"] | {"python_multipart": {"level": "ERROR"}}}
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -118,6 +119,26 @@ class _Processes(Multiprocess):
         super().handle_int()
 
 
+class _Config(uvicorn.Config):
+    """A config that adds handlers for logs, where uvicorn's own closes those of all other libraries in the process."""
+
+    def configure_logging(self) -> None:
+        """Write errors to standard error and requests, if they are asked for, to standard output."""
+        super().configure_logging()
+        logging.getLogger("python_multipart").setLevel(logging.ERROR)  # what hostile clients send shall not fill it
+        said = logging.StreamHandler(sys.stderr)
+        said.setFormatter(DefaultFormatter("%(levelprefix)s %(message)s"))
+        logging.getLogger("uvicorn").handlers = [said]
+        logging.getLogger("uvicorn").propagate = False
+        if self.access_log:
+            requests = logging.StreamHandler(sys.stdout)
+            requests.setFormatter(
+                AccessFormatter('%(levelprefix)s %(client_addr)s - "%(request_line)s" %(status_code)s')
+            )
+            logging.getLogger("uvicorn.access").handlers = [requests]
+            logging.getLogger("uvicorn.access").propagate = False
+
+
 def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: bool = False) -> uvicorn.Config:
     """Return how uvicorn is to serve.
 
@@ -127,7 +148,7 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
         workers: the number of processes.
         access_log: True logs every request.
     """
-    return uvicorn.Config(
+    return _Config(
         app,
         factory=workers > 1,
         loop="asyncio",
@@ -139,7 +160,7 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
         proxy_headers=False,
         server_header=False,
         access_log=access_log,
-        log_config=_LOGS,
+        log_config=None,
         log_level="info" if access_log else "error",
         timeout_keep_alive=_KEEP_ALIVE,
         timeout_graceful_shutdown=round(settings.limits.grace),
