@@ -253,8 +253,8 @@ def test_finetuning_writes_a_better_model_its_card_and_the_comparison(init: str,
 
 def test_third_domain_of_scattered_depth_is_added_and_learned(init: str, tmp_path: Path, capsys):
     path, out = write_sparse(tmp_path / "lidar", n=4), tmp_path / "out"
-    arguments = ["train", "finetune", "--data", f"lidar={path}", "--init", init, "--out", str(out), "--steps", "15"]
-    assert main([*arguments, "--learning-rate", "0.02", "--holdout", "1"]) == 0
+    arguments = ["train", "finetune", "--data", f"lidar={path}", "--init", init, "--out", str(out), "--steps", "30"]
+    assert main([*arguments, "--learning-rate", "0.01", "--holdout", "1"]) == 0
     error = capsys.readouterr().err
     assert "(scattered points)" in error
     assert "There is no photo of indoor, outdoor in the data" in error

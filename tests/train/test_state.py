@@ -260,6 +260,7 @@ def other_values(config: TrainConfig) -> dict[str, object]:
         "spread_weight": 2.0,
         "route_by_label": False,
         "trim": 0.5,
+        "loss_size": "truth",
         "gradient_weight": 0.0,
         "freeze_batch_norm": False,
         "ema_decay": 0.5,
