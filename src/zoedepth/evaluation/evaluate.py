@@ -74,7 +74,8 @@ class Evaluation:
         Args:
             folder: the one that was given to ``evaluate``, so that the pictures are found in it.
             command: how the evaluation was started; the report quotes it.
-            with_paper, reference: see ``tables``.
+            with_paper: see ``tables``.
+            reference: see ``tables``.
         """
         if self.processes.rank == 0:
             tables = self.tables(with_paper=with_paper, reference=reference)

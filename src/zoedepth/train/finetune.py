@@ -80,7 +80,8 @@ def plan(
         data: name of a data set → where it is, anything that ``zoedepth.opening.open_dataset`` opens.
         options: the user's choices.
         out: folder for the result.
-        init, steps: these two of the choices, in place of those in ``options``.
+        init: starting weights, in place of those in ``options``.
+        steps: number of steps, in place of that in ``options``.
         progress: called while files are looked at, with the number of pairs that are done, and of all.
 
     Raises:
