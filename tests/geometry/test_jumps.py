@@ -151,6 +151,6 @@ def test_rows_may_have_focal_lengths_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("function", [jumps, flying_pixels])
-def test_the_camera_must_be_that_of_the_depth(function: object) -> None:
+def test_the_camera_must_be_that_of_the_depth(function: Callable[[np.ndarray, Camera], object]) -> None:
     with pytest.raises(InputError, match="camera"):
-        function(np.ones((3, 3)), CAMERA)  # type: ignore[operator]
+        function(np.ones((3, 3)), CAMERA)

@@ -141,7 +141,7 @@ def test_too_many_uploads_and_too_many_bytes_are_refused(model_file: str) -> Non
         assert client.ask("/v1/depth", bytes(2000)).problem == "busy"
         with client.connect() as connection:
             connection.sendall(HEAD + b"Content-Length: 100\r\n\r\n")
-            deadline = time.monotonic() + 10
+            deadline = time.monotonic() + 120  # of a machine that is busy: it is there in milliseconds
             while (answer := client.ask("/v1/depth", b"x")).status != 429:
                 assert time.monotonic() < deadline
             assert answer.problem == "busy"

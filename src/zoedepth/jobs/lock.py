@@ -42,7 +42,7 @@ def only_one(manifest: Path) -> Iterator[None]:
     try:
         try:
             lock.acquire()
-        except NotImplementedError:  # filelock's word for a file system without locks
+        except NotImplementedError:  # raised by filelock where the file system has no locks: a file stands for one
             path = path.with_suffix(".held")
             lock = SoftFileLock(path, timeout=0)
             advice = f"{advice}. If it does not run any more, delete {path}"
