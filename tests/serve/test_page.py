@@ -7,7 +7,6 @@ of the photo has a colour of its own, so that a picture of the screen tells whic
 import io
 import json
 import re
-import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +21,8 @@ import trimesh
 import uvicorn
 from PIL import Image
 from plyfile import PlyData
+from tests import browsers
+from tests.browsers import LONGEST, needs_browser
 
 from zoedepth import read_depth, save_model
 from zoedepth.colors import colorize
@@ -35,10 +36,7 @@ from zoedepth.serve.settings import Settings
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, ConsoleMessage, Error, Page, Request, Route
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chrome"))), None)
 WIDTH, HEIGHT = 96, 72
-LONGEST = 180.0  # seconds to wait for anything, on however slow a machine
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium: apt install chromium")
 
 
 def photo() -> np.ndarray:
@@ -149,15 +147,8 @@ def service_url(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator["Browser"]:
-    playwright = pytest.importorskip(
-        "playwright.sync_api", reason="playwright is not installed: pip install playwright"
-    )
-    with playwright.sync_playwright() as started:
-        browser = started.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader"]
-        )
-        yield browser
-        browser.close()
+    with browsers.browser() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="module")
