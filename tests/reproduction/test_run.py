@@ -1,5 +1,6 @@
 """Units are trained and scored once, and a reproduction that was killed goes on to the same numbers."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -101,6 +102,25 @@ def test_training_that_does_not_converge_is_a_result(
     assert run_unit(tmp_path, units[0], open_scored(data)) == found  # it is not tried again
     assert FAILED in all_results(tmp_path, units, data)
     assert any("the loss is not finite" in line for line in said)
+
+
+@pytest.mark.usefixtures("random_start")
+def test_rows_of_two_tables_that_are_one_training_share_run_and_result(
+    units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first has scores on less data than the second asks for."""
+    first, scored = units[0], open_scored(data)
+    assert first.training is not None
+    for name in ("A first", "Z second"):
+        found = run_unit(
+            tmp_path, dataclasses.replace(first, training=dataclasses.replace(first.training, name=name)), scored
+        )
+        assert found is not None
+        assert found.scores.keys() == scored.keys()
+        monkeypatch.setattr(run, "train_metric", _kill)
+        scored = open_scored(data | {"kitchen": data["nyu"]})
+    assert [path.name[:7] for path in (tmp_path / "results").iterdir()] == ["A-first"]
+    assert read_result(tmp_path, first, scored) == found
 
 
 def test_result_of_another_making_is_not_taken(units: list[Unit], data: dict[str, str], tmp_path: Path) -> None:

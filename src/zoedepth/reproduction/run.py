@@ -125,7 +125,7 @@ def run_unit(
         measured = evaluate(
             {"model": source},
             {name: each.data for name, each in scored.items()},
-            folder=out / "runs" / training.folder / "scores",
+            folder=_kept(out / "runs", training) / "scores",
             track=track,
             on_failure=say,
         )
@@ -155,7 +155,7 @@ def _trained(out: Path, training: Training, say: Callable[[str], None]) -> Path:
             init = str(_trained(out, start, say))
     else:
         init = start
-    folder = out / "runs" / training.folder
+    folder = _kept(out / "runs", training)
     done = checkpoints(folder)
     if done and done[-1].name == f"step_{training.config.steps:06d}":
         return done[-1]
@@ -175,13 +175,15 @@ def _alone(out: Path, training: Training) -> Iterator[None]:
         yield
 
 
-def _path(out: Path, training: Training) -> Path:
-    return out / "results" / f"{training.folder}.json"
+def _kept(folder: Path, training: Training, suffix: str = "") -> Path:
+    """Return where a training is kept. Rows of several tables may be one training, which has the name of the first."""
+    found = sorted(folder.glob(f"*-{training.id}{suffix}"))
+    return found[0] if found else folder / f"{training.folder}{suffix}"
 
 
 def _read(out: Path, training: Training) -> dict[str, Any] | None:
-    path = next(iter(sorted((out / "results").glob(f"*-{training.id}.json"))), None)
-    if path is None:
+    path = _kept(out / "results", training, ".json")
+    if not path.exists():
         return None
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
@@ -215,7 +217,5 @@ def _write(
         "failure": failure,
         "scores": {**kept, **scores},
     }
-    path = _path(out, training)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as part:
+    with atomic_path(_kept(out / "results", training, ".json")) as part:
         part.write_text(to_json(values, indent=2) + "\n", encoding="utf-8")
