@@ -1,6 +1,6 @@
 #!/bin/sh
-# Makes src/zoedepth/assets/viewer/three.min.js anew: the parts of three.js that viewer.js and the page of the service (serve/page)
-# use, in one file, with its licence. Needs npm and the network.
+# Makes src/zoedepth/assets/viewer/three.min.js anew: the parts of three.js that viewer.js and the page of the service
+# (serve/page) use, in one file, with its licence. Needs npm and the network.
 set -eu
 version=0.187.0
 target="$(cd "$(dirname "$0")/.." && pwd)/src/zoedepth/assets/viewer/three.min.js"

@@ -7,9 +7,9 @@ const MEGABYTE = 1e6;
 
 /** A refusal or failure, in words for people. `status` is that of HTTP, 0 where the service did not answer. */
 export class Problem extends Error {
-  constructor({title, detail, status, retryAfter}) {
+  constructor({title, detail, status}) {
     super(title);
-    Object.assign(this, {name: "Problem", title, detail: detail ?? "", status, retryAfter});
+    Object.assign(this, {name: "Problem", title, detail: detail ?? "", status});
   }
 }
 
@@ -121,19 +121,18 @@ function parsed(buffer) {
 
 /** What the service says of a request that it refused (RFC 9457). */
 function problemOf(request) {
-  const retryAfter = Number(request.getResponseHeader("Retry-After")) || null;
   let said = {};
   try {
     said = parsed(request.response);
   } catch {
     // A proxy in between may answer in its own way.
   }
-  const wait = retryAfter ? ` Try again in ${retryAfter} s.` : "";
+  const seconds = Number(request.getResponseHeader("Retry-After"));
+  const wait = seconds ? ` Try again in ${seconds} s.` : "";
   return new Problem({
     title: said.title ?? `The service answered ${request.status}`,
     detail: (said.detail ?? "") + wait,
     status: request.status,
-    retryAfter,
   });
 }
 

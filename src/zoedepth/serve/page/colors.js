@@ -2,7 +2,6 @@
 
 import {TABLES} from "./colormaps.js";
 
-export const COLORMAPS = ["magma_r", "turbo_r", "Spectral", "gray_r"];
 const AUTOMATIC = [0.01, 0.99]; // shares of the usable pixels that are nearer than the first and the last colour
 
 const tables = Object.fromEntries(Object.entries(TABLES).map(([name, digits]) => [name, bytes(digits)]));

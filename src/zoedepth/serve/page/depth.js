@@ -79,21 +79,25 @@ export class Depth {
 
   /** The depths, in metres, below which these shares of the usable pixels lie. */
   quantiles(shares) {
-    const step = Math.max(1, Math.floor(this.values.length / 100000)),
-      some = [];
-    for (let i = 0; i < this.values.length; i += step) if (this.valid[i]) some.push(this.values[i] * this.gain);
-    some.sort((a, b) => a - b);
-    return shares.map((share) => (some.length ? some[Math.round(share * (some.length - 1))] : 0));
+    return this.sorted(shares, (i) => (this.valid[i] ? this.values[i] * this.gain : null));
   }
 
   /** The confidences below which these shares of the pixels lie. */
   confidences(shares) {
     if (!this.std) return null;
+    return this.sorted(shares, (i) => this.values[i] / (this.values[i] + this.std[i]));
+  }
+
+  /** What stands at these shares of the pixels, or of many of them, in order; `read` gives null for one to leave out. */
+  sorted(shares, read) {
     const step = Math.max(1, Math.floor(this.values.length / 100000)),
       some = [];
-    for (let i = 0; i < this.values.length; i += step) some.push(this.values[i] / (this.values[i] + this.std[i]));
+    for (let i = 0; i < this.values.length; i += step) {
+      const value = read(i);
+      if (value !== null) some.push(value);
+    }
     some.sort((a, b) => a - b);
-    return shares.map((share) => some[Math.round(share * (some.length - 1))]);
+    return shares.map((share) => (some.length ? some[Math.round(share * (some.length - 1))] : 0));
   }
 }
 
