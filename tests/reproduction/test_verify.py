@@ -1,5 +1,6 @@
 """The released weights on the official data: what is found, what is missing, and the difference to the paper."""
 
+import shutil
 from decimal import Decimal
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,6 +67,25 @@ def test_both_protocols_are_measured_and_compared_with_what_is_printed(
     others = {(row.model, row.data) for row in rows if not row.measured}
     assert ("ZoeD-M12-K", "vkitti2") in others
     assert ("ZoeD-M12-NK", "nyu") in others
+
+
+def test_a_model_is_loaded_once_and_no_photo_is_scored_twice_under_the_same_protocol(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(folder / "nyu", folder / "ibims")
+    loaded, scored = [], []
+    load = module.ModelSource.load
+    monkeypatch.setattr(module.ModelSource, "load", lambda name, **rest: loaded.append(name) or load(name, **rest))
+
+    def evaluate(sources: object, sets: dict[str, EvaluationSet], **_: object) -> SimpleNamespace:
+        scored.extend(sets)
+        return SimpleNamespace(summaries=[])
+
+    monkeypatch.setattr(module, "evaluate", evaluate)
+    monkeypatch.setattr(module, "open_evaluation_set", lambda *_, **__: SimpleNamespace(dataset=[]))
+    verify(find_files(folder), out=tmp_path / "out")
+    assert loaded == [str(folder / "weights" / "zoed-m12-n.safetensors")]
+    assert scored == ["nyu", "ibims-released", "ibims"]
 
 
 def test_data_that_cannot_be_opened_is_said_and_the_rest_goes_on(

@@ -115,23 +115,26 @@ def verify(
     Raises:
         InputError: the folder of the scores cannot be written to, or weights cannot be loaded.
     """
+    opened = {name: sets for name in found.data if (sets := _sets(found, name)) is not None}
     measured: dict[tuple[str, str, str], Mapping[str, float]] = {}
-    for name in list(found.data):
-        sets = _sets(found, name)
-        if sets is None:
+    for model, weights in found.weights.items():
+        mine = {name: sets for name, sets in opened.items() if model in _models_for(name)}
+        if not mine:
             continue
-        for model in _models_for(name):
-            if model not in found.weights:
-                continue
-            source = ModelSource.load(found.weights[model], device=device)
-            scored = evaluate({model: source}, sets, folder=out, track=track, on_failure=say)
+        source = ModelSource.load(weights, device=device)
+        for name, sets in mine.items():
+            # Where both protocols are the same, their numbers are, too.
+            names = {find_protocol(each).hash: each for each in reversed(sets)}.values()
+            distinct = {each: sets[each] for each in names}
+            scored = evaluate({model: source}, distinct, folder=out, track=track, on_failure=say)
             for summary in scored.summaries:
-                variant = "released" if summary.data.endswith("-released") else "paper"
                 if summary.n_failed:
                     found.missing[name] = f"{summary.n_failed} photos of {found.data[name]} could not be scored"
                 elif summary.metrics is not None:
                     values = {metric: float(getattr(summary.metrics, metric)) for metric in _METRICS}
-                    measured[model, name, variant] = values
+                    for variant, end in VARIANTS.items():
+                        if find_protocol(f"{name}{end}").hash == find_protocol(summary.data).hash:
+                            measured[model, name, variant] = values
     return _differences(measured)
 
 
