@@ -193,6 +193,8 @@ def test_field_of_view_of_a_window_to_the_side() -> None:
         (lambda: Camera.from_fov((4, 5), horizontal=180), "between 0 and 180 degrees; it is 180"),
         (lambda: Camera.from_fov((4, 5), vertical=-1), "between 0 and 180 degrees; it is -1"),
         (lambda: Camera.from_fov((4, 5), diagonal=math.nan), "between 0 and 180 degrees; it is nan"),
+        (lambda: Camera.from_fov((4, 5), horizontal=5e-324), "must be in degrees; it is 5e-324, which no camera has"),
+        (lambda: Camera.from_fov((4, 5), diagonal=1e-6), "must be in degrees; it is 1e-06, which no camera has"),
         (lambda: PHOTO.upright(0), "a number from 1 to 8, got 0"),
         (lambda: PHOTO.upright(9), "a number from 1 to 8, got 9"),
     ],

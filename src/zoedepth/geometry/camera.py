@@ -141,7 +141,8 @@ class Camera:
             source: the one who says it.
 
         Raises:
-            InputError: none or several of the three are given, or it is not between 0 and 180 degrees.
+            InputError: none or several of the three are given, or it is not between 0 and 180 degrees, or so close to 0
+                that no camera has it.
         """
         sides = {
             "horizontal": (horizontal, size[1]),
@@ -156,7 +157,10 @@ class Camera:
         (name, (degrees, side)) = next(iter(given.items()))
         if not 0 < degrees < 180:
             raise InputError(f"the {name} field of view must be between 0 and 180 degrees; it is {degrees}")
-        return cls.from_focal(side / 2 / math.tan(math.radians(degrees) / 2), size, source=source)
+        half = math.tan(math.radians(degrees) / 2)  # of the side, in focal lengths; 0 for the smallest numbers
+        if side / 2 >= _MAX_PIXELS * half:
+            raise InputError(f"the {name} field of view must be in degrees; it is {degrees}, which no camera has")
+        return cls.from_focal(side / 2 / half, size, source=source)
 
     @property
     def intrinsics(self) -> Intrinsics:
