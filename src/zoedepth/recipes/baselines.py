@@ -71,10 +71,10 @@ def baseline(name: str, data: Literal["n", "k", "nk"]) -> TrainConfig:
         nyu = replace(nyu, window=(480, 640), rotate_degrees=1.0)
     elif name == "newcrfs":
         nyu, kitti = replace(nyu, window=(480, 640)), replace(kitti, window=(352, 1120))
-    if name in ("bts", "newcrfs"):
-        nyu, kitti = replace(nyu, min_depth=0.1), replace(kitti, min_depth=1.0)
     elif name == "dorn":
         nyu, kitti = (replace(source, crop="squeeze", window=None, rotate_degrees=0.0) for source in (nyu, kitti))
+    if name in ("bts", "newcrfs"):
+        nyu, kitti = replace(nyu, min_depth=0.1), replace(kitti, min_depth=1.0)
     sources = {"n": (nyu,), "k": (kitti,), "nk": (nyu, kitti)}[data]
     n_images = {"n": NYU_IMAGES, "k": KITTI_IMAGES, "nk": 2 * NYU_IMAGES}[data]
     steps = _EPOCHS[name] * n_images // _BATCH[name]
