@@ -5,7 +5,7 @@ from typing import Any
 
 from zoedepth.serve.answers import FORMATS
 from zoedepth.serve.photos import MEDIA_TYPES
-from zoedepth.serve.problems import KINDS, MEDIA_TYPE, PREFIX
+from zoedepth.serve.problems import KINDS, MEDIA_TYPE, Problem
 from zoedepth.serve.schemas import LISTS, About, ProblemAnswer
 
 INTRODUCTION = """Depth in metres from a single photo.
@@ -77,14 +77,11 @@ def problem_answers() -> dict[int | str, dict[str, Any]]:
                 MEDIA_TYPE: {
                     "schema": {"$ref": "#/components/schemas/ProblemAnswer"},
                     "examples": {
-                        name: {"value": {
-                            "type": PREFIX + name, "title": kind.title, "status": status, "detail": f"{kind.title}.",
-                        }}
-                        for name, kind in kinds.items()
+                        name: {"value": Problem(name, f"{kind.title}.").values} for name, kind in kinds.items()
                     },
                 }
             },
-        }  # fmt: skip
+        }
         if any(kind.retry_after for kind in kinds.values()):
             statuses[status]["headers"] = {
                 "Retry-After": {"description": "Seconds to wait.", "schema": {"type": "integer"}}

@@ -21,7 +21,6 @@ from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.photos import Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import ClientGone, Problem
 from zoedepth.serve.settings import Settings
-from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import RELEASES
 
@@ -79,8 +78,6 @@ class Model:
         """The network, on its device."""
         self.on_cpu = base.device.type == "cpu"
         """True where the network computes on the CPU."""
-        self.exported = is_exported(source)
-        """True where another runtime computes it, with threads of its own."""
         self._predictors: dict[tuple[bool, bool | None], Predictor] = {(True, None): base}
 
     @property
@@ -131,8 +128,7 @@ class Engine:
         """Models by the names that clients use; the first is the default."""
         self.ready = False
         """True while models are there to be asked."""
-        n_cores = cpu_count()
-        self.n_threads = settings.threads or n_cores
+        self.n_threads = settings.threads or cpu_count()
         """Photos that are computed at the same time."""
         self._batches: dict[tuple[object, ...], list[_Job]] = {}
         self._ending = asyncio.Event()

@@ -77,11 +77,15 @@ class Problem(Exception):
         return {"content-type": MEDIA_TYPE, "cache-control": "no-store", **again, **self.further}
 
     @property
+    def values(self) -> dict[str, str | int]:
+        """Members of the problem details."""
+        known = KINDS[self.kind]
+        return {"type": PREFIX + self.kind, "title": known.title, "status": known.status, "detail": self.detail}
+
+    @property
     def body(self) -> bytes:
         """Body of the answer: JSON in UTF-8."""
-        known = KINDS[self.kind]
-        values = {"type": PREFIX + self.kind, "title": known.title, "status": known.status, "detail": self.detail}
-        return json.dumps(values, ensure_ascii=False).encode(errors="replace")
+        return json.dumps(self.values, ensure_ascii=False).encode(errors="replace")
 
 
 class ClientGone(Exception):

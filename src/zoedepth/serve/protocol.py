@@ -1,13 +1,12 @@
 """HTTP as uvicorn speaks it, with an end to the patience for clients that neither speak nor listen."""
 
 import asyncio
-import json
 from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from zoedepth.serve.problems import KINDS, MEDIA_TYPE, PREFIX
+from zoedepth.serve.problems import Problem
 
 IDLE = "zoedepth_idle"
 """Name in the state of the lifespan: seconds of patience, see ``Limits.idle``."""
@@ -58,15 +57,13 @@ class PatientProtocol(H11Protocol):
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no HTTP, with problem details."""
-        kind = KINDS["malformed-request"]
         if self.conn.our_state not in (h11.IDLE, h11.SEND_RESPONSE):  # an answer has begun: there is no taking it back
             self.transport.close()
             return
-        problem = {"type": PREFIX + "malformed-request", "title": kind.title, "status": 400, "detail": msg}
-        body = json.dumps(problem).encode()
-        headers = [("content-type", MEDIA_TYPE), ("content-length", str(len(body))), ("connection", "close")]
-        head = h11.Response(status_code=400, headers=headers, reason=b"Bad Request")
-        for event in (head, h11.Data(data=body), h11.EndOfMessage()):
+        problem = Problem("malformed-request", msg)
+        headers = {**problem.headers, "content-length": str(len(problem.body)), "connection": "close"}
+        head = h11.Response(status_code=problem.status, headers=list(headers.items()), reason=b"Bad Request")
+        for event in (head, h11.Data(data=problem.body), h11.EndOfMessage()):
             self.transport.write(self.conn.send(event) or b"")
         self.transport.close()
 
