@@ -243,13 +243,13 @@ def mri_table(summaries: Sequence[Summary], reference: str) -> ReportTable:
     metrics = {(s.source, s.data): asdict(s.metrics) for s in summaries if s.metrics is not None}
     rows = []
     for label in labels:
-        cells = [_mri(mri_metrics, metrics.get((label, name)), metrics.get((reference, name))) for name in names]
+        cells = [mri_cell(mri_metrics, metrics.get((label, name)), metrics.get((reference, name))) for name in names]
         mine, theirs = (
             {name: metrics[source, name]["rel"] for name in names if (source, name) in metrics}
             for source in (label, reference)
         )
         complete = len(mine) == len(theirs) == len(names)
-        rows.append((label, *cells, _mri(mri_datasets, mine, theirs) if complete else NOT_RUN))
+        rows.append((label, *cells, mri_cell(mri_datasets, mine, theirs) if complete else NOT_RUN))
     header = ("source", *(f"mRI_theta {name}" for name in names), "mRI_D")
     note = (
         "mRI_theta: mean improvement of delta1, REL and RMSE on a data set; mRI_D: of REL, mean over the data sets. "
@@ -258,13 +258,19 @@ def mri_table(summaries: Sequence[Summary], reference: str) -> ReportTable:
     return ReportTable(f"Mean relative improvement over {reference}, %", header, tuple(rows), note=note)
 
 
-def _mri(
+def mri_cell(
     mean: Callable[[Mapping[str, float], Mapping[str, float]], float],
     mine: Mapping[str, float] | None,
     reference: Mapping[str, float] | None,
 ) -> str:
-    """Return a mean relative improvement; a dash where the reference's score is 0, so that it has no percentage."""
-    if mine is None or reference is None:
+    """Write a mean relative improvement; a dash where the reference's score is 0, so that it has no percentage.
+
+    Args:
+        mean: ``mri_datasets`` or ``mri_metrics``.
+        mine: the scores of which it is.
+        reference: those that they are compared with. Where one of the two has none, it was not run.
+    """
+    if not mine or not reference:
         return NOT_RUN
     try:
         return f"{mean(mine, reference):+.1f}"

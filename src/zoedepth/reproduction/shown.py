@@ -4,12 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
-from typing import Any
 
-from zoedepth.errors import InputError
 from zoedepth.evaluation.improvement import MRI_METRICS, mri_datasets, mri_metrics
 from zoedepth.evaluation.paper_numbers import ALL
-from zoedepth.evaluation.tables import NOT_RUN, ReportTable
+from zoedepth.evaluation.tables import NOT_RUN, ReportTable, mri_cell
 from zoedepth.metrics import HEADINGS, HIGHER_IS_BETTER
 from zoedepth.reproduction.run import FAILED, Result
 from zoedepth.reproduction.tables import Column, Row, Table
@@ -89,7 +87,7 @@ def shown(
         mine = means[row.name]
         if over_all:
             cells += [_over_datasets(mine, reference, names), table.printed_mri(row, ALL) or "-"]
-        cells += [_over_metrics(mine.get(name), reference.get(name)) for name in names]
+        cells += [mri_cell(mri_metrics, mine.get(name), reference.get(name)) for name in names]
         n = sum(result is not None for result in found)
         rows.append((row.name, str(n) if n else NOT_RUN, *cells))
         values.append(numbers)
@@ -152,24 +150,12 @@ def _means(found: Sequence[Result | None]) -> dict[str, dict[str, float]]:
     return means
 
 
-def _over_datasets(mine: Mapping[str, Any], reference: Mapping[str, Any], names: Sequence[str]) -> str:
+def _over_datasets(
+    mine: Mapping[str, Mapping[str, float]], reference: Mapping[str, Mapping[str, float]], names: Sequence[str]
+) -> str:
     there = [name for name in names if "rel" in mine.get(name, {}) and "rel" in reference.get(name, {})]
-    if not there:
-        return NOT_RUN
-    try:
-        value = mri_datasets({n: mine[n]["rel"] for n in there}, {n: reference[n]["rel"] for n in there})
-    except InputError:
-        return "-"
-    return f"{value:+.1f}"
-
-
-def _over_metrics(mine: Mapping[str, float] | None, reference: Mapping[str, float] | None) -> str:
-    if not mine or not reference:
-        return NOT_RUN
-    try:
-        return f"{mri_metrics(mine, reference):+.1f}"
-    except InputError:  # a reference of which no pixel is right has no share to improve on
-        return "-"
+    rel, theirs = ({name: scores[name]["rel"] for name in there} for scores in (mine, reference))
+    return mri_cell(mri_datasets, rel, theirs)
 
 
 def _note(table: Table, units: Sequence[Unit], reference: str) -> str:
