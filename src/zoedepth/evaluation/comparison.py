@@ -8,7 +8,7 @@ from zoedepth.alignment import resize_depth
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.evaluation.pixels import spread_values
-from zoedepth.evaluation.predictions import PredictionSource, predict
+from zoedepth.evaluation.predictions import PredictionSource, predict, prepare
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.scoring import aligned_depth, scored_pixels
 from zoedepth.images import ImageArray, to_image
@@ -50,24 +50,22 @@ def _row(
     sources: Mapping[str, PredictionSource], sample: Sample, protocols: Mapping[str, Protocol]
 ) -> list[list[ImageArray]]:
     protocol = protocols[sample.domain]
-    depths: dict[str, np.ndarray] = {}
-    shown = sample
-    for label, source in sources.items():
-        prediction, shown = predict(source, sample, protocol)
-        truth, scored = shown.target[0].numpy(), scored_pixels(shown, protocol)
-        depths[label] = aligned_depth(prediction, truth, scored, protocol)
+    shown = prepare(sample, protocol)
     truth, scored = shown.target[0].numpy(), scored_pixels(shown, protocol)
+    depths = {
+        label: aligned_depth(predict(source, sample, protocol)[0], truth, scored, protocol)
+        for label, source in sources.items()
+    }
     wide = truth.shape[1] > 2 * truth.shape[0]
     width = _WIDE if wide else _WIDTH
     size = (max(1, round(truth.shape[0] * width / truth.shape[1])), width)
     known = np.where(shown.mask[0].numpy(), truth, np.nan)
     vmin, vmax = depth_range(truth[scored][None], percentiles=(1.0, 99.0))
     squared = {label: np.where(scored, np.square(depth - truth), np.nan) for label, depth in depths.items()}
-    errors = np.concatenate([each[scored] for each in squared.values()])
-    most = max(float(np.percentile(errors, 98)), 1e-6) if errors.size else 1.0
+    most = max(float(np.percentile([each[scored] for each in squared.values()], 98)), 1e-6)
     bar = color_bar(size[0], vmin=vmin, vmax=vmax)
     error_bar = color_bar(size[0], vmin=0.0, vmax=most, colormap="turbo", unit="m^2")
-    photo = panel(to_image(shown.image), size=size, caption=f"{shown.name}"[-36:])
+    photo = panel(to_image(shown.image), size=size, caption=shown.name[-36:])
     measured = panel(colorize(spread_values(known, size), vmin=vmin, vmax=vmax), size=size, caption="measured")
     last = list(sources)[-1]
     predicted = [
