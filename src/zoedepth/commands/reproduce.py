@@ -1,6 +1,6 @@
 """``zoedepth reproduce TABLE --data NAME=SOURCE ... --out DIR``."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +12,7 @@ from zoedepth.folders import check_writable
 
 if TYPE_CHECKING:
     from zoedepth.evaluation.tables import ReportTable
+    from zoedepth.reproduction.units import Unit
 
 FIRST_SEED = 43
 """The released code's seed; others follow it."""
@@ -122,18 +123,15 @@ def _absolute(source: str) -> str:
     return str(Path(source).absolute()) if Path(source).exists() else source
 
 
-def _names(units: Iterable[object]) -> str:
-    return ", ".join(dict.fromkeys(unit.row.name for unit in units))  # pyright: ignore[reportAttributeAccessIssue]
+def _names(units: "Iterable[Unit]") -> str:
+    return ", ".join(dict.fromkeys(unit.row.name for unit in units))
 
 
 def _write(out: Path, name: str, table: "ReportTable") -> Path:
     """Write the table in three formats; return the first."""
     from zoedepth.images import atomic_path
 
-    texts: Sequence[tuple[str, str]] = (
-        ("md", table.markdown()), ("html", table.html()), ("tex", table.latex()),
-    )  # fmt: skip
-    for suffix, text in texts:
+    for suffix, text in (("md", table.markdown()), ("html", table.html()), ("tex", table.latex())):
         with atomic_path(out / f"{name}.{suffix}") as part:
             part.write_text(text, encoding="utf-8")
     return out / f"{name}.md"
