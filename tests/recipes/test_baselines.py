@@ -17,8 +17,8 @@ def test_recipe_takes_a_step(name: str, tiny_config: ModelConfig, tmp_path: Path
 
 
 def test_systems_are_trained_on_depth_as_far_as_their_authors_do() -> None:
-    nearest = {name: [source.min_depth for source in RECIPES[f"{name}_nk"]().sources] for name in SYSTEMS}
-    assert nearest == {**dict.fromkeys(SYSTEMS, [None, None]), "bts": [0.1, 1.0], "newcrfs": [0.1, 1.0]}
+    nearest = {name: tuple(source.min_depth for source in RECIPES[f"{name}_nk"]().sources) for name in SYSTEMS}
+    assert nearest == {**dict.fromkeys(SYSTEMS, (None, None)), "bts": (0.1, 1.0), "newcrfs": (0.1, 1.0)}
 
 
 def test_momentum_of_bts_is_that_of_its_code_throughout() -> None:
