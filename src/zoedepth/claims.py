@@ -22,6 +22,11 @@ MAX_SCANS = 30
 HEIC_IS_READ = find_spec("pillow_heif") is not None
 """True where the library that reads HEIC is installed; the package can do without it."""
 
+AVIF_BRANDS = {b"avif", b"avis"}
+"""Brands by which an AVIF names itself."""
+HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
+"""Brands by which a HEIC names itself; AVIF has some of them, too."""
+
 _MAX_PIECES = 10_000  # segments, chunks, boxes: photos have up to some hundreds, beside the pixels
 _MAX_JPEG = 1 << 28  # bytes of a JPEG that are looked at: the largest pictures are smaller
 _MAX_JUNK = 1 << 16  # bytes that stand between the segments of a JPEG
@@ -284,17 +289,24 @@ def stand_in(start: bytes) -> str | None:
     return next((what for prefixes, what in _STAND_INS.items() if bare.startswith(prefixes)), None)
 
 
+def media_brands(start: bytes) -> set[bytes]:
+    """Return the brands of a film, an AVIF or a HEIC by its first bytes; empty for all other files."""
+    if start[4:8] != b"ftyp":
+        return set()
+    return {start[place : place + 4] for place in range(8, min(len(start), int.from_bytes(start[:4], "big")), 4)}
+
+
 def _other_kind(start: bytes) -> str | None:
     """Return what a file is that is no photo, by its first bytes, and what to do about it; None for photos."""
     if other := stand_in(start):
         return other
     if start[4:8] == b"ftyp":
-        brands = {start[place : place + 4] for place in range(8, min(len(start), int.from_bytes(start[:4], "big")), 4)}
         if start[8:12] == b"crx ":
             return _RAW
-        if brands & {b"avif", b"avis"}:
+        brands = media_brands(start)
+        if brands & AVIF_BRANDS:
             return None
-        if brands & _HEIC_BRANDS:
+        if brands & HEIC_BRANDS:
             return None if HEIC_IS_READ else _HEIC
         return _FILM
     bare = start.lstrip().lower()
@@ -310,7 +322,6 @@ _HEIC = (
 _FILM = "it is a film. Take pictures out of it, e.g. ffmpeg -i FILM frames/%05d.png"
 _DOCUMENT = "it is a document. Save its picture as JPEG or PNG"
 _LIGHT = "it holds a wide range of light. Save it as JPEG or PNG, as it looks on a screen"
-_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
 
 _STAND_INS = {
     (b"version https://git-lfs",): "it only stands for a file that Git LFS keeps. Fetch that: git lfs pull",

@@ -129,9 +129,9 @@ def _chosen(models: tuple[str, ...]) -> tuple[str, ...]:
     from zoedepth.weights.hub import cached
     from zoedepth.weights.releases import RELEASES
 
-    here = [
-        name for name, each in RELEASES.items() if each.present or (each.hub_id is not None and cached(each.hub_id))
-    ]
+    here: list[str] = []
+    if "installed" in models:
+        here = [name for name, each in RELEASES.items() if each.present or (each.hub_id and cached(each.hub_id))]
     named = [each for model in models for each in (here if model == "installed" else [model])]
     return tuple(dict.fromkeys(named))
 

@@ -19,7 +19,7 @@ from zoedepth.predict import Predictor
 from zoedepth.serve.gate import Gate
 from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.photos import Decoded, check_photo, decode_photo
-from zoedepth.serve.problems import ClientGone, Problem
+from zoedepth.serve.problems import ClientGone, Problem, sentence
 from zoedepth.serve.settings import Settings
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import RELEASES
@@ -356,11 +356,10 @@ def told() -> Iterator[None]:
 
 def as_problem(error: Exception) -> Problem | None:
     """Return how a client is told of an error; None for those that are none of its business."""
-    sentence = f"{str(error)[:1].upper()}{str(error)[1:]}"
     if isinstance(error, MissingExtraError):
-        return Problem("not-acceptable", f"{sentence}, on the machine of the service.")
+        return Problem("not-acceptable", f"{sentence(error)}, on the machine of the service.")
     if isinstance(error, ZoeDepthError):
-        return Problem("invalid-request", sentence)
+        return Problem("invalid-request", sentence(error))
     if isinstance(error, MemoryError) or "out of memory" in str(error) or "can't allocate memory" in str(error):
         return Problem("no-room", "There is too little memory for this photo now. Send it resized, or try again later.")
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):

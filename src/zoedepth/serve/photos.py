@@ -7,13 +7,13 @@ from contextlib import contextmanager
 from io import BytesIO
 from typing import NamedTuple
 
-from zoedepth.claims import HEIC_IS_READ, check_claims
+from zoedepth.claims import AVIF_BRANDS, HEIC_BRANDS, HEIC_IS_READ, check_claims, media_brands
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.geometry.choice import CameraChoice
 from zoedepth.geometry.exif import read_exif_camera
 from zoedepth.images import ImageArray, read_image, read_image_with_notes
 from zoedepth.pictures import is_panorama, n_full_pages, open_picture
-from zoedepth.serve.problems import Problem
+from zoedepth.serve.problems import Problem, sentence
 
 MEDIA_TYPES = {
     "JPEG": "image/jpeg",
@@ -33,8 +33,6 @@ _STARTS = {
     "BMP": (b"BM",),
     "GIF": (b"GIF87a", b"GIF89a"),
 }
-_AVIF_BRANDS = {b"avif", b"avis"}
-_HEIC_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"}
 
 _heard = threading.local()
 
@@ -124,7 +122,7 @@ def decode_photo(content: bytes, camera: CameraChoice, *, max_pixels: int) -> De
         known = read_exif_camera(notes, (image.shape[0], image.shape[1]))
         return Decoded(image, known.camera or "none", known.reason, tuple(heard))
     except InputError as error:
-        raise Problem("unreadable-photo", f"{str(error)[:1].upper()}{str(error)[1:]}") from error
+        raise Problem("unreadable-photo", sentence(error)) from error
     finally:
         _heard.warnings = None
 
@@ -154,10 +152,7 @@ def _format(start: bytes) -> str | None:
             return kind
     if start[:4] == b"RIFF" and start[8:12] == b"WEBP":
         return "WEBP"
-    if start[4:8] == b"ftyp":
-        length = min(len(start), int.from_bytes(start[:4], "big"))
-        brands = {start[place : place + 4] for place in range(8, length, 4)}
-        if brands & _AVIF_BRANDS:
-            return "AVIF"
-        return "HEIF" if HEIC_IS_READ and brands & _HEIC_BRANDS else None
-    return None
+    brands = media_brands(start)
+    if brands & AVIF_BRANDS:
+        return "AVIF"
+    return "HEIF" if HEIC_IS_READ and brands & HEIC_BRANDS else None

@@ -88,5 +88,10 @@ class Problem(Exception):
         return json.dumps(self.values, ensure_ascii=False).encode(errors="replace")
 
 
+def sentence(error: Exception) -> str:
+    """Return the words of an error as a sentence: those of the package begin small, to stand behind a name."""
+    return f"{str(error)[:1].upper()}{str(error)[1:]}"
+
+
 class ClientGone(Exception):
     """The client hung up, so that nobody waits for the answer."""
