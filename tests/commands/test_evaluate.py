@@ -470,6 +470,23 @@ class TestOutput:
             assert text.count(" (paper) ") == n_rows
             assert re.search(r"ZoeD-M12-N \(paper\).*0\.075.*0\.270", text)
 
+    def test_models_side_by_side_and_their_improvement_over_one(self, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path / "rooms", n=2, split="test")
+        same = write_predictions(tmp_path / "theirs", path)
+        options = ["--predictions", f"new={same}", f"old={same}", "--data", f"rooms={path}", "--no-pictures"]
+        out = tmp_path / "out"
+        assert main(["evaluate", *options, "--compare", "1", "--mri", "old", "--out", str(out)]) == 0
+        text = (out / "report.md").read_text()
+        assert "Mean relative improvement over old" in capsys.readouterr().out
+        assert "| new | +0.0 | +0.0 |" in text
+        assert "rooms-compared.png" in text
+        with Image.open(out / "rooms-compared.png") as sheet:
+            assert sheet.width > 5 * 280
+        assert "--compare makes pictures: give --out" in error(capsys, *options, "--compare", "1")
+        assert "--mri is 'older', which is not scored: give one of new, old" in error(
+            capsys, *options, "--mri", "older"
+        )
+
     @pytest.mark.parametrize("columns", [40, 80, 200])
     def test_tables_keep_all_headings_names_and_numbers(self, tmp_path: Path, capsys, monkeypatch, columns: int):
         monkeypatch.setenv("COLUMNS", str(columns))
