@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cache
 from io import BytesIO
-from itertools import count, groupby, islice
+from itertools import chain, count, groupby, islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -285,7 +285,8 @@ def walk_photos(
         n_files = 0
         for files in folders:
             n_files += len(files)
-            yield from _new([(file, place / file.relative_to(root)) for file in _photos(files, found)], seen, taken)
+            below = place / files[0].parent.relative_to(root) if files else Path()  # they are of one folder
+            yield from _new([(file, below / file.name) for file in _photos(files, found)], seen, taken)
         if not n_files and not path.is_dir():
             found.unreadable[source] = "matches no file"
         found.unreadable.update(listing.unreadable)
@@ -296,12 +297,13 @@ def walk_photos(
 def _photos(files: Iterable[Path], found: Found) -> Iterator[Path]:
     """Yield the photos among the files of folders, and keep what else was there."""
     for file in files:
-        if reason := _no_photo(file):
+        suffix = file.suffix.lower()
+        if reason := _no_photo(file, suffix):
             found.left_out[reason] += 1
-        elif not file.suffix and file.is_symlink() and not file.exists():
-            found.unreadable[str(file)] = "the link leads nowhere: is the disk there?"
-        elif file.suffix.lower() in IMAGE_SUFFIXES:
+        elif suffix in IMAGE_SUFFIXES:
             yield file
+        else:
+            found.unreadable[str(file)] = "the link leads nowhere: is the disk there?"
 
 
 def _new(photos: Iterable[tuple[Path, Path]], seen: Names, taken: Names) -> Iterator[tuple[Path, Path, Path]]:
@@ -313,7 +315,11 @@ def _new(photos: Iterable[tuple[Path, Path]], seen: Names, taken: Names) -> Iter
         taken: see ``walk_photos``.
     """
     real_folder = cache(os.path.realpath)
-    new = [(path, place) for path, place in photos if seen.add(os.path.join(real_folder(path.parent), path.name))]
+    new = []
+    for path, place in photos:
+        folder, name = os.path.split(path)
+        if seen.add(os.path.join(real_folder(folder), name)):
+            new.append((path, place))
     yield from (
         (path, place, target)
         for (path, place), target in zip(new, targets([place for _, place in new], taken), strict=True)
@@ -335,16 +341,15 @@ def targets(places: Sequence[Path], taken: Names) -> Iterator[Path]:
             return name.lower()
         return unicodedata.normalize("NFC", unicodedata.normalize("NFD", name).casefold())
 
-    n_sharing = Counter(key(place.with_suffix("")) for place in places)
-
-    def names(place: Path) -> Iterator[Path]:
-        if n_sharing[key(place.with_suffix(""))] == 1:
-            yield place.with_suffix("")
-        yield place
-        yield from (place.with_name(f"{place.name}-{number}") for number in count(2))
-
-    for place in places:
-        yield next(name for name in names(place) if taken.add(key(name)))
+    stems = [place.with_suffix("") for place in places]
+    keys = [key(stem) for stem in stems]
+    n_sharing = Counter(keys)
+    for place, stem, key_of_stem in zip(places, stems, keys, strict=True):
+        if n_sharing[key_of_stem] == 1 and taken.add(key_of_stem):
+            yield stem
+            continue
+        numbered = (place.with_name(f"{place.name}-{number}") for number in count(2))
+        yield next(name for name in chain((place,), numbered) if taken.add(key(name)))
 
 
 def blocked(photo: Photo, request: Request, *, own: Collection[str] = ()) -> str | None:
@@ -642,9 +647,13 @@ def end_of_writing(photo: Photo, error: OSError) -> InputError | None:
     return None
 
 
-def _no_photo(file: Path) -> str | None:
-    """Return why a file in a folder is no photo, or None."""
-    suffix = file.suffix.lower()
+def _no_photo(file: Path, suffix: str) -> str | None:
+    """Return why a file in a folder is no photo; None for a photo, and for a link without a suffix that leads nowhere.
+
+    Args:
+        file: the file.
+        suffix: its suffix, lower case.
+    """
     if (suffix in IMAGE_SUFFIXES or suffix in _OTHER_PICTURES) and is_own_file(file):
         return "written by zoedepth"
     if suffix in IMAGE_SUFFIXES:

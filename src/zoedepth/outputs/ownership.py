@@ -34,7 +34,7 @@ def has_own_mark(file: Path) -> bool:
     if not file.is_file():
         return False
     try:
-        with file.open("rb") as opened:
+        with file.open("rb", buffering=0) as opened:  # folders have many
             content = opened.read(_HEAD)
             if content.startswith(b"RIFF"):
                 opened.seek(-_HEAD, 2)
