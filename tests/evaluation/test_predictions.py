@@ -21,7 +21,6 @@ from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError
 from zoedepth.evaluation.dataset_scores import score_dataset
-from zoedepth.evaluation.identity import weights_fingerprint
 from zoedepth.evaluation.predictions import (
     TRIVIAL,
     ConstantSource,
@@ -39,6 +38,7 @@ from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 from zoedepth.stored.maps import RELATIVE_KEY
+from zoedepth.weights.fingerprint import weights_fingerprint
 from zoedepth.weights.load import load_model, save_model
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}

@@ -18,7 +18,6 @@ from zoedepth.data.names import Finder
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.download import Progress
 from zoedepth.errors import InputError
-from zoedepth.evaluation.identity import files_state, fingerprint, weights_fingerprint
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import DepthArray, to_image
@@ -26,6 +25,7 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
+from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
 from zoedepth.weights.load import find, load_model
 
 # The usual ones first; DEPTH_SUFFIXES has all that can be read.

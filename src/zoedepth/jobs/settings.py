@@ -9,9 +9,9 @@ import torch
 from zoedepth import __version__
 from zoedepth.batch import Request
 from zoedepth.calibration import Calibration
-from zoedepth.evaluation.identity import fingerprint, weights_fingerprint
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
+from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 
 
 def network_fingerprint(network: DepthModel, model: str) -> str:

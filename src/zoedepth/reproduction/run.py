@@ -11,7 +11,6 @@ from zoedepth import __version__
 from zoedepth.errors import InputError, TrainingError
 from zoedepth.evaluation.evaluate import evaluate
 from zoedepth.evaluation.evaluation_set import EvaluationSet, open_evaluation_set
-from zoedepth.evaluation.identity import fingerprint, weights_fingerprint
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.images import atomic_path
 from zoedepth.predict import Predictor
@@ -20,6 +19,7 @@ from zoedepth.stored import to_json
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import train_relative
 from zoedepth.train.state import checkpoints
+from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 from zoedepth.weights.load import load_model
 
 FAILED = "did not converge"

@@ -11,12 +11,13 @@ from zoedepth.data.lists import Pair
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import fingerprint, settings_fingerprint
+from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.opening import open_dataset
 from zoedepth.reproduction.scale import Scale
 from zoedepth.reproduction.tables import Row, Table, rows_of
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.train.config import TrainConfig
+from zoedepth.weights.fingerprint import fingerprint
 
 _NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check", "accumulate")
 """Fields of a configuration that do not change its result."""

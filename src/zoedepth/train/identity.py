@@ -8,8 +8,9 @@ from pathlib import Path
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import content, file_state, settings_fingerprint
+from zoedepth.evaluation.identity import settings_fingerprint
 from zoedepth.shards.dataset import ShardDataset
+from zoedepth.weights.fingerprint import content, file_state
 from zoedepth.weights.hub import WEIGHTS
 from zoedepth.weights.load import find
 
