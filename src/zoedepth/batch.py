@@ -21,7 +21,7 @@ from fnmatch import fnmatch
 from functools import cache
 from io import BytesIO
 from itertools import chain, count, groupby, islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -35,6 +35,7 @@ from zoedepth.outputs import OUTPUTS, Maps, Options, output_names
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import is_own_file
 from zoedepth.panorama import is_sphere, predict_panorama
+from zoedepth.threads import cpu_count, thread_count, threads
 
 if TYPE_CHECKING:
     from zoedepth.predict import Predictor
@@ -248,7 +249,7 @@ class NamesInMemory:
 
 def walk_photos(
     sources: Iterable[str], found: Found, *, seen: Names, taken: Names, above: str | None = None
-) -> Iterator[tuple[Path, Path, Path]]:
+) -> Iterator[tuple[Path, PurePosixPath, PurePosixPath]]:
     """Find photos as ``find_photos`` does, and yield each as soon as the folder that it lies in was listed.
 
     Args:
@@ -263,11 +264,11 @@ def walk_photos(
     """
     sources = list(sources)
     several_folders = sum(Path(source).is_dir() for source in sources) > 1
-    named: list[tuple[Path, Path]] = []
+    named: list[tuple[Path, PurePosixPath]] = []
     for source in sources:
         path = Path(source)
         if not path.is_dir() and os.path.lexists(path):
-            named.append((path, Path(path.name)))  # named one by one: tried whatever its suffix
+            named.append((path, PurePosixPath(path.name)))  # named one by one: tried whatever its suffix
             continue
         yield from _new(named, seen, taken)
         named = []
@@ -285,7 +286,8 @@ def walk_photos(
         n_files = 0
         for files in folders:
             n_files += len(files)
-            below = place / files[0].parent.relative_to(root) if files else Path()  # they are of one folder
+            # They are of one folder.
+            below = PurePosixPath(place, files[0].parent.relative_to(root).as_posix() if files else "")
             yield from _new([(file, below / file.name) for file in _photos(files, found)], seen, taken)
         if not n_files and not path.is_dir():
             found.unreadable[source] = "matches no file"
@@ -306,7 +308,9 @@ def _photos(files: Iterable[Path], found: Found) -> Iterator[Path]:
             found.unreadable[str(file)] = "the link leads nowhere: is the disk there?"
 
 
-def _new(photos: Iterable[tuple[Path, Path]], seen: Names, taken: Names) -> Iterator[tuple[Path, Path, Path]]:
+def _new(
+    photos: Iterable[tuple[Path, PurePosixPath]], seen: Names, taken: Names
+) -> Iterator[tuple[Path, PurePosixPath, PurePosixPath]]:
     """Yield those photos that were not seen before, each with a target that no other has.
 
     Args:
@@ -326,7 +330,7 @@ def _new(photos: Iterable[tuple[Path, Path]], seen: Names, taken: Names) -> Iter
     )
 
 
-def targets(places: Sequence[Path], taken: Names) -> Iterator[Path]:
+def targets(places: Sequence[PurePosixPath], taken: Names) -> Iterator[PurePosixPath]:
     """Yield for each place in a tree a target: the path of its files without their endings, which no other has.
 
     Args:
@@ -334,7 +338,7 @@ def targets(places: Sequence[Path], taken: Names) -> Iterator[Path]:
         taken: the targets that others have.
     """
 
-    def key(place: Path) -> str:
+    def key(place: PurePosixPath) -> str:
         # a.jpg and A.png share their files on Windows and macOS, and so do two ways to write é on macOS.
         name = str(place)
         if name.isascii():  # there is nothing to normalise
@@ -578,21 +582,9 @@ def share_cores(workers: int) -> Iterator[None]:
 
     A model in OpenVINO's or ONNX's format takes its number of threads when it is loaded: load it inside.
     """
-    import torch
-
-    threads = torch.get_num_threads()
-    if workers > 1:
-        # A core for each photo: the threads of one forward wait for each other all the time.
-        torch.set_num_threads(max(1, cpu_count() // workers))
-    try:
+    # A core for each photo: the threads of one forward wait for each other all the time.
+    with threads(thread_count() if workers < 2 else max(1, cpu_count() // workers)):
         yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-def cpu_count() -> int:
-    """Return the number of cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _look_around(panorama: Any, predictor: "Predictor", request: Request) -> tuple[Maps, dict[str, object]]:

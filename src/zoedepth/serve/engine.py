@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-from zoedepth.batch import cpu_count
 from zoedepth.config import ModelConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError, no_such
@@ -21,6 +20,7 @@ from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.photos import Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import ClientGone, Problem, sentence
 from zoedepth.serve.settings import Settings
+from zoedepth.threads import cpu_count
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import RELEASES
 

@@ -18,13 +18,13 @@ from uvicorn.config import STARTUP_FAILURE
 from uvicorn.logging import AccessFormatter, DefaultFormatter
 from uvicorn.supervisors import Multiprocess
 
-from zoedepth.batch import cpu_count
 from zoedepth.config import from_dict
 from zoedepth.errors import InputError
 from zoedepth.serve.answers import memory_folder
 from zoedepth.serve.app import Service, create_app
 from zoedepth.serve.metrics import FOLDER_VARIABLE
 from zoedepth.serve.settings import Settings
+from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import find
 

@@ -1,0 +1,39 @@
+"""Threads of a forward, where torch is imported, where it is not, and where it is imported in between."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from zoedepth.threads import cpu_count, thread_count, threads
+
+
+def printed(code: str, **environment: str) -> list[str]:
+    """The lines that a fresh interpreter, which has not imported torch, prints after running ``code``."""
+    code = f"import os, sys\nfrom zoedepth.threads import *\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    return done.stdout.split()
+
+
+def test_torch_has_the_number_where_it_is_imported() -> None:
+    before = torch.get_num_threads()
+    with threads(before + 2):
+        assert thread_count() == torch.get_num_threads() == before + 2
+    assert thread_count() == torch.get_num_threads() == before
+
+
+@pytest.mark.parametrize(("said", "expected"), [("3", 3), ("", cpu_count()), ("0", cpu_count()), ("4,2", cpu_count())])
+def test_without_torch_the_variable_counts_or_the_cores(said: str, expected: int) -> None:
+    assert printed("print(thread_count(), 'torch' in sys.modules)", OMP_NUM_THREADS=said) == [str(expected), "False"]
+
+
+def test_torch_that_is_imported_in_the_block_takes_the_number() -> None:
+    code = """
+with threads(1):
+    print(thread_count())
+    import torch
+    print(torch.get_num_threads())
+print(torch.get_num_threads(), thread_count(), os.environ.get("OMP_NUM_THREADS"))
+"""
+    assert printed(code, OMP_NUM_THREADS="2") == ["1", "1", "2", "2", "2"]
