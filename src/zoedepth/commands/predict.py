@@ -236,7 +236,7 @@ def predict(
 
         from zoedepth.commands.progress import download_progress
         from zoedepth.jobs.ray_engine import run_on_ray
-        from zoedepth.jobs.run import Tally, count_in_background, run_job
+        from zoedepth.jobs.run import Tally, run_job
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
         from zoedepth.weights.load import load_model
@@ -263,8 +263,6 @@ def predict(
                 predictor.domain_index(domain)
             settings = job_settings(wanted, predictor, weights=network_fingerprint(network, model))
             tally = Tally(total=len(first) if len(first) < _FIRST else None)
-            if tally.total is None:
-                count_in_background(tally, listing.count)
             with place.opened() as manifest:
                 manifest.begin(settings, named=listing.named, overwrite=overwrite)
                 tell_done = json_ or len(first) == 1
@@ -327,6 +325,7 @@ class _Report:
         self.failures: list[str] = []
         self.notes = Counter[str]()
         self.last: Done | None = None
+        self.counting = False
 
     def of(self, results: "Iterator[Done]") -> int:
         """Go through the results under a progress bar, and return the exit code."""
@@ -350,7 +349,12 @@ class _Report:
         return code or (EXIT_FAILED if n_failed else 0)
 
     def _take(self, done: "Done") -> None:
+        from zoedepth.jobs.run import count_in_background
+
         self.last = done
+        if self.tally.total is None and not self.counting and not done.before:  # a finished job needs no number
+            self.counting = True
+            count_in_background(self.tally, self.listing.count)
         self.notes.update(done.notes)
         error = done.entry.error
         if error is not None and len(self.failures) < _MOST_FAILURES:

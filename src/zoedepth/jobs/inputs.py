@@ -113,9 +113,8 @@ class Sources:
                 yield from self._here(run, found, seen, taken, several=several)
                 run = []
                 above = _stem(name) if several and kind in ("zip", "tar", "address") else ""
-                together = (
-                    1 if kind == "tar" and not name.lower().endswith(".tar") else _TOGETHER
-                )  # it holds their bytes
+                holds_bytes = kind == "tar" and not name.lower().endswith(".tar")  # it is compressed
+                together = 1 if holds_bytes else _TOGETHER
                 listed = self._elsewhere(name, kind, found)
                 yield from self._placed(listed, seen, taken, above=above, together=together)
             yield from self._here(run, found, seen, taken, several=several)
@@ -129,9 +128,8 @@ class Sources:
         for group in groups:
             above = None if not several else _stem(group[0]) if Path(group[0]).is_dir() else ""
             for path, place, target in walk_photos(group, found, seen=seen, taken=taken, above=above):
-                place = PurePosixPath(place.as_posix())
                 if self.shard.holds(place):
-                    yield Input(os.path.abspath(path), place, PurePosixPath(target.as_posix()), path)
+                    yield Input(os.path.abspath(path), place, target, path)
 
     def _placed(
         self, listed: Iterator["_Listed"], seen: Names, taken: Names, *, above: str, together: int
@@ -140,10 +138,8 @@ class Sources:
         while some := list(islice(listed, together)):
             new = [each for each in some if seen.add(each.name)]
             places = [PurePosixPath(above) / each.place for each in new]
-            chosen = targets([Path(place) for place in places], taken)
-            for each, place, target in zip(new, places, chosen, strict=True):
+            for each, place, target in zip(new, places, targets(places, taken), strict=True):
                 if self.shard.holds(place):
-                    target = PurePosixPath(target.as_posix())
                     yield Input(each.name, place, target, each.path, each.origin, each.size, each.version)
 
     def _elsewhere(self, name: str, kind: str, found: Found) -> Iterator["_Listed"]:

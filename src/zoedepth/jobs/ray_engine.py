@@ -135,7 +135,7 @@ def run_on_ray(
 
     ours = not ray.is_initialized()
     try:
-        blocks = []
+        blocks, n_photos = [], 0
         for block in _blocks(missing(inputs, manifest, destination, tally, overwrite=overwrite, tell_done=tell_done)):
             for item in block:
                 if isinstance(item, Done):
@@ -146,6 +146,8 @@ def run_on_ray(
                 if not ray.is_initialized():
                     _start(address, workers)
                 blocks.append(ray.put(table({"photo": photos})))
+                n_photos += len(photos)
+        tally.total = tally.seen + n_photos
         if not blocks:
             return
         resources = ray.cluster_resources()
