@@ -14,6 +14,7 @@ have the bits of a run that was left alone. ``overhead`` counts the processor's 
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -24,6 +25,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -59,25 +61,45 @@ def kill(
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_photos(folder / "in", photos, size=(120, 160))
+        began = time.monotonic()
         _Command(folder, "alone", 0, 1, "process", fork=fork).wait()
+        photo_seconds = (time.monotonic() - began) / photos
         print("one run was left alone", flush=True)
         running = [_Command(folder, "killed", index, shards, engine, fork=fork) for index in range(shards)]
-        n_killed, ended = 0, False
-        while n_killed < kills and not ended:
-            victim = rng.randrange(shards)
-            target = _n_done(folder / "killed") + rng.randrange(1, max(2, 2 * photos // max(1, kills)))
-            while _n_done(folder / "killed") < target and not running[victim].ended():
+        killed = Counter[str]()
+        while killed.total() < kills and any(command.code != 0 for command in running):
+            command = rng.choice([command for command in running if command.code != 0])
+            n_done = _n_done(folder / "killed")
+            target = n_done + int(rng.random() * 2 * (photos - n_done) / (kills - killed.total() + 1))
+            while _n_done(folder / "killed") < target and not command.ended():
                 time.sleep(0.005)
-            time.sleep(rng.random() * 0.1)  # in the middle of anything: a file, a name, a line
-            if not running[victim].ended():
-                running[victim].kill()
-                n_killed += 1
-            ended = all(process.ended() and process.code == 0 for process in running)
-            if not ended and running[victim].code != 0:
-                running[victim] = _Command(folder, "killed", victim, shards, engine, fork=fork)
-        codes = [process.wait() for process in running]
-        print(f"{n_killed} kills; the commands that were left ended with {codes}")
-        return _report(folder, photos)
+            time.sleep(rng.random() * photo_seconds)  # in the middle of anything: a file, a name, a line
+            if not command.ended():
+                actors = _actors(command.pid) if engine == "ray" and rng.random() < 0.8 else []
+                if actors:
+                    os.kill(rng.choice(actors), signal.SIGKILL)
+                else:
+                    command.kill()
+                killed["actors" if actors else "commands"] += 1
+            if command.code == -signal.SIGKILL:
+                command.start()
+            elif command.code:
+                break  # it failed by itself, which the report shows
+        codes = [command.wait() for command in running]
+        print(f"killed: {dict(killed)}; the commands that were left ended with {codes}")
+        return _report(folder, photos) or killed.total() < kills
+
+
+def _actors(pid: int) -> list[int]:
+    """Return the processes below another one in which Ray's actors predict photos."""
+    import psutil
+
+    found = []
+    for process in psutil.Process(pid).children(recursive=True):
+        with suppress(psutil.Error):  # it has ended
+            if re.match(r"ray::_?MapWorker", process.cmdline()[0]):
+                found.append(process.pid)
+    return found
 
 
 def _import_all() -> None:
@@ -105,7 +127,7 @@ def lose_a_node(*, photos: int = 60) -> int:
         cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
         node = cluster.add_node(num_cpus=1)
         cluster.wait_for_nodes()
-        more = ("--address", cluster.address, "--workers", "2")
+        more = ("--address", str(cluster.address))
         process = _Command(folder, "killed", 0, 1, "ray", *more, fork=False)
         while _n_done(folder / "killed") < photos // 4 and not process.ended():
             time.sleep(0.05)
@@ -332,22 +354,26 @@ class _Command:
     def __init__(self, folder: Path, out: str, index: int, shards: int, engine: str, *more: str, fork: bool) -> None:
         words = [
             "predict", str(folder / "in"), "--out", str(folder / out), "--no-flip", "--save", "depth,npy",
-            "--workers", "1", "--engine", engine, *more,
+            "--workers", "2" if engine == "ray" else "1", "--engine", engine, *more,
         ]  # fmt: skip
         if shards > 1:
             words += ["--shard", f"{index}/{shards}"]
+        self.words, self.log, self.fork = words, folder / f"{out}-{index}.log", fork
+        self.start()
+
+    def start(self) -> None:
         self.code: int | None = None
-        with (folder / f"{out}-{index}.log").open("ab") as log:
-            if fork:
+        with self.log.open("ab") as log:
+            if self.fork:
                 self.pid = os.fork()
                 if self.pid == 0:
                     os.setsid()
                     os.dup2(log.fileno(), 1)
                     os.dup2(log.fileno(), 2)
-                    os._exit(_run(words))
+                    os._exit(_run(self.words))
             else:
                 # A group of its own, so that everything it has started dies with it.
-                command = [sys.executable, "-m", "zoedepth", *words]
+                command = [sys.executable, "-m", "zoedepth", *self.words]
                 # Kept, because whoever forgets a process of subprocess has it waited for there.
                 self.process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
                 self.pid = self.process.pid
