@@ -61,6 +61,7 @@ CHANGES: dict[type, dict[str, tuple[Any, dict[str, Any]]]] = {
         "widths": ((16, 16, 24, 16), {}),
         "features": (12, {}),
         "output_stride": (2, {}),
+        "upsampling": ("convex", {"decoder": {"output_stride": 2}}),
     },
     RouterConfig: {
         "kind": ("auto", {}),

@@ -33,9 +33,13 @@ def test_each_image_has_the_depth_of_its_own_head(name: str, tiny_config: ModelC
     assert model(PAIR).domain.tolist() in ([0, 1], [1, 0])
 
 
+@pytest.mark.parametrize("upsampling", ["bilinear", "convex"])
 @torch.no_grad()
-def test_a_model_with_one_head_needs_no_domain(tiny_config: ModelConfig):
-    model = flat(tiny_config, 1)
+def test_a_model_with_one_head_needs_no_domain(tiny_config: ModelConfig, upsampling: str):
+    decoder = replace(tiny_config.decoder, output_stride=2, upsampling=upsampling)
+    model = flat(replace(tiny_config, decoder=decoder), 1)
+    if model.convex is not None:
+        torch.nn.init.normal_(model.convex.conv2.weight)
     depth, std = ExportModel(model).eval()(PAIR)
     expected = model(PAIR, return_std=True)
     assert torch.allclose(depth, expected.depth[:, 0], rtol=1e-4, atol=1e-5)

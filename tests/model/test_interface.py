@@ -6,7 +6,7 @@ from zoedepth.config import BaselineConfig, BtsNetworkConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.heads.output import HeadOutput, Ordinal, Supervision, WindowBins
 from zoedepth.model.heads.probability import BinDistribution
-from zoedepth.model.interface import DepthOutput, depth_output, in_batch_order
+from zoedepth.model.interface import DepthOutput, at_pixels, depth_output, in_batch_order
 from zoedepth.model.router import Routing
 from zoedepth.model.upsample import upsample
 from zoedepth.model.zoedepth import ZoeDepth
@@ -27,7 +27,8 @@ def test_maps_have_the_size_of_the_pixels_and_come_on_request(std: bool, bins: b
     found, relative = distribution(), torch.rand(2, 1, 4, 6)
     routing = Routing(torch.tensor([1, 0]), torch.rand(2, 2))
     supervision = Supervision(image_bins=torch.rand(2, 5))
-    output = depth_output(HeadOutput(found, supervision), relative, routing, size=SIZE, std=std, bins=bins)
+    output = depth_output(HeadOutput(found, supervision), relative, routing, std=std, bins=bins)
+    output = at_pixels(output, SIZE)
     mean, spread = found.mean_and_std()
     assert torch.allclose(output.depth, upsample(mean, SIZE))
     assert torch.equal(output.relative, upsample(relative, SIZE))
@@ -45,7 +46,7 @@ def test_maps_have_the_size_of_the_pixels_and_come_on_request(std: bool, bins: b
 def test_a_head_without_distribution_has_depth_only():
     head = HeadOutput(torch.rand(2, 1, 8, 12))
     routing = Routing(torch.zeros(2, dtype=torch.long), None)
-    output = depth_output(head, None, routing, size=SIZE, std=True, bins=True)
+    output = at_pixels(depth_output(head, None, routing, std=True, bins=True), SIZE)
     assert output.depth is head.prediction
     assert output[1] is output.domain_logits is output.std is output.bin_centers is output.probability is None
 

@@ -6,6 +6,7 @@ import torch
 from zoedepth.config import INDOOR, OUTDOOR, AttractorConfig, Domain, EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.losses import silog
+from zoedepth.model.upsample import convex_upsample
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import ENCODERS, PRESETS
 
@@ -74,13 +75,31 @@ def test_std_is_that_of_the_bins_and_comes_only_on_request(tiny_model: ZoeDepth)
     assert tiny_model(photos(1, (32, 32))).std is None
 
 
-def test_half_resolution_decoder_still_answers_at_the_size_of_the_input(tiny_config: ModelConfig):
-    output = build(replace(tiny_config, decoder=replace(tiny_config.decoder, output_stride=2)))(
-        photos(), return_bins=True
-    )
+@pytest.mark.parametrize("upsampling", ["bilinear", "convex"])
+def test_half_resolution_decoder_still_answers_at_the_size_of_the_input(tiny_config: ModelConfig, upsampling: str):
+    decoder = replace(tiny_config.decoder, output_stride=2, upsampling=upsampling)
+    output = build(replace(tiny_config, decoder=decoder))(photos(), return_bins=True)
     assert output.depth.shape == output.relative.shape == (4, 1, 64, 64)
     assert output.probability.shape == (4, 8, 64, 64)
     assert torch.allclose(output.probability.sum(dim=1), torch.ones(4, 64, 64), atol=1e-5)
+
+
+def test_convex_upsampling_gives_depth_and_deviation_the_same_weights_from_the_normalised_photo(
+    tiny_config: ModelConfig,
+):
+    decoder = replace(tiny_config.decoder, output_stride=2, upsampling="convex")
+    model, seen = build(replace(tiny_config, decoder=decoder)), []
+    torch.nn.init.normal_(model.convex.conv2.weight)
+    model.convex.register_forward_hook(lambda module, inputs, weights: seen.append((inputs, weights)))
+    output = model(photos(), return_std=True, return_bins=True)
+    [((last, pixels), weights)] = seen
+    assert torch.equal(last, model.relative_features(photos()).last)
+    assert torch.equal(pixels, 2 * photos() - 1)
+    coarse = torch.rand(4, 1, 32, 32)
+    assert torch.equal(model.enlarge(last, photos())(coarse), convex_upsample(coarse, weights))
+    assert (output.std > 0).all()
+    bilinear = (output.probability * output.bin_centers).sum(dim=1, keepdim=True)
+    assert not torch.allclose(output.depth, bilinear, rtol=1e-3)
 
 
 def test_pixels_are_normalised_by_the_model(tiny_model: ZoeDepth):

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from zoedepth.config import BaselineConfig, Domain
 from zoedepth.model.heads.output import HeadOutput
-from zoedepth.model.interface import DepthModel, DepthOutput, depth_output
+from zoedepth.model.interface import DepthModel, DepthOutput, at_pixels, depth_output
 from zoedepth.model.router import Routing
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -54,4 +54,5 @@ class Baseline(DepthModel):
         self.check(pixels, domain)
         head = self.predict(((pixels - self.mean) / self.std).to(self.dtype))
         only = torch.zeros(pixels.shape[0], dtype=torch.long, device=pixels.device)
-        return depth_output(head, None, Routing(only, None), size=pixels.shape[-2:], std=return_std, bins=return_bins)
+        output = depth_output(head, None, Routing(only, None), std=return_std, bins=return_bins)
+        return at_pixels(output, pixels.shape[-2:])

@@ -55,7 +55,15 @@ class DecoderConfig:
     features: int = 32
     """Channels of the last decoder map, from which the relative depth and the probabilities are predicted."""
     output_stride: Literal[1, 2] = 1
-    """Stride of that last map. 1: as published. 2: a quarter of the work; depth is then upsampled bilinearly."""
+    """Stride of that last map. 1: as published. 2: a quarter of the work."""
+    upsampling: Literal["bilinear", "convex"] = "bilinear"
+    """How depth gets the size of the pixels. bilinear: as published. convex (output stride 2 only): each pixel is a
+    weighted mean of the nine depths around it, with weights learned from the last map and the photo (Teed & Deng 2020);
+    edges of depth can be as sharp as those of the photo."""
+
+    def __post_init__(self) -> None:
+        require(self.upsampling == "bilinear" or self.output_stride == 2, "decoder.upsampling",
+                "'bilinear' where decoder.output_stride is 1", self.upsampling)  # fmt: skip
 
 
 @dataclass(frozen=True)

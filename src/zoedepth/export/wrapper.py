@@ -15,7 +15,6 @@ from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.heads.probability import BinDistribution
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.router import TrainedRouter
-from zoedepth.model.upsample import upsample
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.tensors import Exported
 
@@ -63,19 +62,20 @@ class ExportModel(nn.Module):
         self, pixel_values: Float[Tensor, "batch 3 height width"], domain: Int[Tensor, " _"] | None = None
     ) -> Exported:
         """Compute the outputs by name."""
-        model, size = self.model, pixel_values.shape[-2:]
+        model = self.model
         if not isinstance(model, ZoeDepth):
             found = model(pixel_values, return_std=True)
             return Exported(found.depth[:, 0], None if found.std is None else found.std[:, 0], None)
-        features = model.shared(model.relative_features(pixel_values))
+        decoded = model.relative_features(pixel_values)
+        features = model.shared(decoded)
         if domain is None:
             output, logits = model.heads[0](features), None
         else:
             logits = model.router(features.bottleneck, None).logits
             output = routed(list(model.heads), features, torch.where(domain < 0, logits.argmax(dim=1), domain))
         depth, spread = output.depth_and_std()
-        std = None if spread is None else upsample(spread, size)[:, 0]
-        return Exported(upsample(depth, size)[:, 0], std, logits)
+        enlarge = model.enlarge(decoded.last, pixel_values)
+        return Exported(enlarge(depth)[:, 0], None if spread is None else enlarge(spread)[:, 0], logits)
 
 
 def routed(heads: list[nn.Module], features: Any, domain: Int[Tensor, " batch"]) -> HeadOutput:

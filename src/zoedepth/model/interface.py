@@ -1,7 +1,8 @@
 """The interface of every model in this package: pixels in, ``DepthOutput`` out."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -15,6 +16,9 @@ from zoedepth.model.router import Routing
 from zoedepth.model.timm_encoder import TimmEncoder
 from zoedepth.model.upsample import upsample
 from zoedepth.provenance import Provenance
+
+Enlarge = Callable[[Float[Tensor, "batch 1 _ _"]], Float[Tensor, "batch 1 height width"]]
+"""Gives a map of metres the size of the pixels."""
 
 
 class DepthOutput(NamedTuple):
@@ -43,31 +47,48 @@ def depth_output(
     relative: Float[Tensor, "batch 1 _ _"] | None,
     routing: Routing,
     *,
-    size: torch.Size,
     std: bool,
     bins: bool,
 ) -> DepthOutput:
-    """Give a head's output the size of the pixels.
+    """Return a head's output as that of a model, still at the head's resolution.
 
     Args:
         head: the output of the head.
         relative: relative depth of the same images, where the model has it.
         routing: which head each image took.
-        size: (height, width) of the pixels.
         std: True to compute the standard deviation.
-        bins: True to compute the bins. Each of their two tensors is as large as n_bins depth maps.
+        bins: True to compute the bins.
     """
     depth, spread = head.depth_and_std() if std else (head.depth, None)
     distribution = head.distribution if bins else None
     return DepthOutput(
-        depth=upsample(depth, size),
-        relative=None if relative is None else upsample(relative, size),
+        depth=depth,
+        relative=relative,
         domain=routing.domain,
         domain_logits=routing.logits,
-        std=None if spread is None else upsample(spread, size),
-        bin_centers=None if distribution is None else upsample(distribution.bin_centers, size),
-        probability=None if distribution is None else upsample(distribution.probability, size),
+        std=spread,
+        bin_centers=None if distribution is None else distribution.bin_centers,
+        probability=None if distribution is None else distribution.probability,
         supervision=head.supervision,
+    )
+
+
+def at_pixels(output: DepthOutput, size: torch.Size, enlarge: Enlarge | None = None) -> DepthOutput:
+    """Give an output the size of the pixels. Each of the two tensors of bins is then as large as n_bins depth maps.
+
+    Args:
+        output: the output, at the head's resolution.
+        size: (height, width) of the pixels.
+        enlarge: gives the depth and its standard deviation that size; None: bilinear, as everything else.
+    """
+    if enlarge is None:
+        enlarge = partial(upsample, size=size)
+    return output._replace(
+        depth=enlarge(output.depth),
+        relative=None if output.relative is None else upsample(output.relative, size),
+        std=None if output.std is None else enlarge(output.std),
+        bin_centers=None if output.bin_centers is None else upsample(output.bin_centers, size),
+        probability=None if output.probability is None else upsample(output.probability, size),
     )
 
 

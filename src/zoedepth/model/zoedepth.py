@@ -1,6 +1,7 @@
 """ZoeDepth: metric depth from one image (paper Fig. 2)."""
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,9 +14,9 @@ from zoedepth.model.decoder import Decoder, DecoderFeatures
 from zoedepth.model.encoder import Encoder
 from zoedepth.model.heads import HEADS
 from zoedepth.model.heads.output import HeadFeatures, HeadOutput, mixed
-from zoedepth.model.interface import DepthModel, DepthOutput, depth_output, in_batch_order
+from zoedepth.model.interface import DepthModel, DepthOutput, Enlarge, at_pixels, depth_output, in_batch_order
 from zoedepth.model.router import Routing, build_router
-from zoedepth.model.upsample import upsample
+from zoedepth.model.upsample import ConvexWeights, convex_upsample, upsample
 
 
 class ZoeDepth(DepthModel):
@@ -44,6 +45,7 @@ class ZoeDepth(DepthModel):
         self.shared = head.shared(self.decoder.channels, config.head)
         self.router = build_router(config.router, self.decoder.channels.bottleneck, len(config.domains))
         self.heads = nn.ModuleList(head.domain(self.decoder.channels, config.head, d) for d in config.domains)
+        self.convex = ConvexWeights(self.decoder.channels.last) if config.decoder.upsampling == "convex" else None
 
     def forward(
         self,
@@ -70,13 +72,15 @@ class ZoeDepth(DepthModel):
                 "Predictor.relative(photo), or train metric heads on it (zoedepth train --init)"
             )
         self.check(pixels, domain)
-        features = self.shared(self.relative_features(pixels))
+        decoded = self.relative_features(pixels)
+        features = self.shared(decoded)
         routing = self.router(features.bottleneck, domain)
         groups = [
-            depth_output(head, relative, routed, size=pixels.shape[-2:], std=return_std, bins=return_bins)
+            depth_output(head, relative, routed, std=return_std, bins=return_bins)
             for head, relative, routed in self._apply_heads(features, routing)
         ]
-        return groups[0] if len(groups) == 1 else in_batch_order(groups, routing.domain)
+        output = groups[0] if len(groups) == 1 else in_batch_order(groups, routing.domain)
+        return at_pixels(output, pixels.shape[-2:], self.enlarge(decoded.last, pixels))
 
     def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         """Predict the relative depth alone, as MiDaS: inverse depth up to scale and shift, >= 0, near is large.
@@ -95,6 +99,19 @@ class ZoeDepth(DepthModel):
     def relative_features(self, pixels: Float[Tensor, "batch 3 height width"]) -> DecoderFeatures:
         """Encode and decode: the part that stage 1 trains. The maps have the decoder's resolution."""
         return self.decoder(self.encoder(normalize(pixels).to(self.dtype)))
+
+    def enlarge(
+        self, last: Float[Tensor, "batch features _ _"], pixels: Float[Tensor, "batch 3 height width"]
+    ) -> Enlarge:
+        """Return the function that gives maps of metres the size of the pixels, as the config says.
+
+        Args:
+            last: the last decoder map.
+            pixels: see ``forward``.
+        """
+        if self.convex is None:
+            return partial(upsample, size=pixels.shape[-2:])
+        return partial(convex_upsample, weights=self.convex(last, normalize(pixels)))
 
     def _apply_heads(self, features: HeadFeatures, routing: Routing) -> Iterator[tuple[HeadOutput, Tensor, Routing]]:
         """Apply each head to its own images, or, where the router asks for a mixture, all heads to all images.

@@ -68,6 +68,8 @@ def extended(model: ZoeDepth, config: ModelConfig) -> ZoeDepth:
     new.encoder.load_state_dict(model.encoder.state_dict())
     new.decoder.load_state_dict(model.decoder.state_dict())
     new.shared.load_state_dict(model.shared.state_dict())
+    if new.convex is not None and model.convex is not None:
+        new.convex.load_state_dict(model.convex.state_dict())
     old = model.config.domains
     origin = [_most_like(domain, old) for domain in config.domains]
     for head, index in zip(new.heads, origin, strict=True):
