@@ -11,6 +11,7 @@ from tests.jobs.photos import contents, run, write_photos
 from zoedepth.errors import InputError
 from zoedepth.jobs import origins
 from zoedepth.jobs.report import read_status
+from zoedepth.jobs.run import Tally
 
 pytest.importorskip("moto", reason="moto is not installed")
 s3fs = pytest.importorskip("s3fs", reason="the extra [cloud] is not installed")
@@ -93,7 +94,8 @@ def test_in_and_out_with_failing_and_slow_requests(tmp_path: Path, trouble: Trou
     photos = write_photos(tmp_path / "in", 4)
     source = fill(photos, "first")
     trouble.every, trouble.wait = 5, 0.002
-    _, tally = run(source, out="s3://first/out", workers=2)
+    results, tally = run(source, out="s3://first/out", workers=2)
+    assert [done.entry.error for done in results] == [None] * 4
     assert (tally.done, tally.failed) == (4, 0)
     trouble.every = 0
     run(photos, out=tmp_path / "expected")
@@ -117,3 +119,18 @@ def test_a_store_that_goes_away_and_comes_back(tmp_path: Path, trouble: Trouble)
     _, tally = run(source, out="s3://second/out")
     assert (tally.done + tally.before, tally.failed) == (3, 0)
     assert len(stored("second")) == 9
+
+
+def test_two_commands_at_once(tmp_path: Path, trouble: Trouble) -> None:
+    """Amazon's servers, and moto's, refuse a second object of the same name if they are asked to."""
+    source = fill(write_photos(tmp_path / "in", 3), "third")
+    second: list[Tally] = []
+
+    def again(_: object) -> None:
+        if not second:
+            second.append(run(source, out="s3://third/out")[1])
+
+    with pytest.raises(InputError, match=r"s3://third/out/zoedepth-manifest cannot .* has begun on it since"):
+        run(source, out="s3://third/out", at=again)
+    assert second[0].done == 3
+    assert run(source, out="s3://third/out")[1].before == 3

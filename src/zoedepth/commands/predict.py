@@ -236,7 +236,7 @@ def predict(
 
         from zoedepth.commands.progress import download_progress
         from zoedepth.jobs.ray_engine import run_on_ray
-        from zoedepth.jobs.run import Tally, run_job
+        from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
         from zoedepth.weights.load import load_model
@@ -264,7 +264,8 @@ def predict(
             settings = job_settings(wanted, predictor, weights=network_fingerprint(network, model))
             tally = Tally(total=len(first) if len(first) < _FIRST else None)
             with place.opened() as manifest:
-                manifest.begin(settings, named=listing.named, overwrite=overwrite)
+                with writing(manifest):
+                    manifest.begin(settings, named=listing.named, overwrite=overwrite)
                 tell_done = json_ or len(first) == 1
                 if engine == "ray":
                     results = run_on_ray(

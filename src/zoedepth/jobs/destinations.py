@@ -25,6 +25,8 @@ DRAFTS = ".zoedepth-drafts"
 _WHOLE = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oci", "oss", "r2", "memory")
 """Stores in which a file is there when all of it is, and not before."""
 
+_LATER = "Look after the store, and type the same again"
+
 _HEAD = 1 << 12  # bytes of a file that say whose it is
 
 
@@ -79,7 +81,11 @@ class Destination(Protocol):
         ...
 
     def has(self, outputs: Mapping[str, tuple[str, int]]) -> bool:
-        """Return True if all files are there and have their sizes."""
+        """Return True if all files are there and have their sizes.
+
+        Raises:
+            InputError: nobody can tell, because a store does not answer.
+        """
         ...
 
     def sidecar(self, outputs: Mapping[str, tuple[str, int]]) -> dict[str, object] | None:
@@ -277,30 +283,33 @@ class Store:
             outputs[name] = (relative, (drafts / file).stat().st_size)
         return outputs
 
-    def put(self, file: Path, relative: str) -> None:
+    def put(self, file: Path, relative: str, *, replace: bool = True) -> None:
         """Bring a file to its place, whole or not at all.
 
+        Args:
+            file: the file.
+            relative: its place.
+            replace: False makes it an error if a file is there already. S3, Google's and Azure's stores look and write
+                in one step; with others, two commands may do so at the same moment.
+
         Raises:
-            OSError: it cannot be written, whatever error the store has for it.
+            OSError: it cannot be written.
         """
         store, root = open_store(self.address)
         path = f"{root.rstrip('/')}/{relative}"
         whole = any(protocol in _WHOLE for protocol in _protocols(store))
 
         def put() -> None:
-            if not whole:  # servers of files show what has come so far
-                store.makedirs(path.rpartition("/")[0], exist_ok=True)
-                store.put_file(str(file), f"{path}.part")
-                store.mv(f"{path}.part", path)
-            else:
-                store.put_file(str(file), path)
+            if whole:
+                store.put_file(str(file), path, **({} if replace else {"mode": "create"}))
+                return
+            if not replace and store.exists(path):
+                raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), path)
+            store.makedirs(path.rpartition("/")[0], exist_ok=True)
+            store.put_file(str(file), f"{path}.part")  # servers of files show what has come so far
+            store.mv(f"{path}.part", path)
 
-        try:
-            patiently(put)
-        except OSError:
-            raise
-        except Exception as error:  # each kind of store has errors of its own
-            raise OSError(f"{self.address}: {type(error).__name__}: {error}") from error
+        patiently(put)
 
     def has(self, outputs: Mapping[str, tuple[str, int]]) -> bool:
         """See ``Destination``."""
@@ -313,23 +322,27 @@ class Store:
             return all(size(file) == n_bytes for file, n_bytes in outputs.values())
         except FileNotFoundError:
             return False
+        except OSError as error:
+            raise InputError(f"{self.address} does not answer ({error}). {_LATER}") from error
 
     def end(self, photo: Photo, error: OSError) -> InputError | None:
         """See ``Destination``. A store that did not take a file after several tries takes no other."""
-        return InputError(
-            f"nothing more can be written to {self.address} ({error}). Look after the store, and type the same again"
-        )
+        return InputError(f"nothing more can be written to {self.address} ({error}). {_LATER}")
 
     def sidecar(self, outputs: Mapping[str, tuple[str, int]]) -> dict[str, object] | None:
         """See ``Destination``."""
         return self._sidecar(Path(outputs["sidecar"][0])) if "sidecar" in outputs else None
+
+    def content(self, relative: str) -> bytes | None:
+        """Return the bytes of a file; None where there is none."""
+        return self._read(Path(relative), first=-1)
 
     def _sidecar(self, file: Path) -> dict[str, object] | None:
         content = self._read(file, first=sidecars.MAX_BYTES + 1)
         return None if content is None else sidecars.parse_sidecar(content)
 
     def _read(self, file: Path, *, first: int) -> bytes | None:
-        """Return the beginning of a file; None where there is none."""
+        """Return the beginning of a file, all of it for -1; None where there is none."""
         store, root = open_store(self.address)
 
         def read() -> bytes:

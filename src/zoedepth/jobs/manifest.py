@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
+from uuid import uuid4
 
 from zoedepth.errors import InputError
 from zoedepth.jobs.lock import this_process
@@ -116,6 +117,8 @@ class Manifest:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.name = str(path)
+        """The path or the address, for people."""
         self.fingerprint = ""
         self.runs: list[dict[str, Any]] = []
         """The commands that have worked on it, as their first lines say."""
@@ -155,7 +158,7 @@ class Manifest:
         last = jobs[-1] if jobs else None
         if not named and not forget and last is not None and last["fingerprint"] != fingerprint:
             raise InputError(
-                f"{self.path} is the manifest of a job with other settings: {_difference(last, settings)}. Give the "
+                f"{self.name} is the manifest of a job with other settings: {_difference(last, settings)}. Give the "
                 "same options to go on with it, --overwrite to do everything again, or another --out"
             )
         self._open()
@@ -202,6 +205,13 @@ class Manifest:
             OSError: it cannot be written: the disk is full, or gone.
         """
         self._write(entry.to_line())
+
+    def flush(self) -> None:
+        """Bring all entries to where the next command looks for them. Those of a file are there already.
+
+        Raises:
+            OSError: they cannot be written.
+        """
 
     def close(self) -> None:
         """Close the file, and take the index off the disk."""
@@ -271,6 +281,7 @@ def begin_line(settings: Mapping[str, object], *, fingerprint: str, named: bool,
         "fingerprint": fingerprint,
         "named": named,
         "overwrite": overwrite,
+        "run": uuid4().hex,  # in a store two commands are told apart by it
         "by": this_process(),
         "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "settings": settings,

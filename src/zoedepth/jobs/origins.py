@@ -65,18 +65,23 @@ def patiently(function: Callable[[], Result]) -> Result:
     """Call a function that asks a store, again where it fails as networks do.
 
     Raises:
-        OSError: it failed each time; FileNotFoundError and PermissionError at once, for they will not mend themselves.
+        OSError: it failed each time; at once where it will not mend itself: what is asked for is not there, or must not
+            be there, or is forbidden. Errors of the store's own kind become one.
     """
     wait = _FIRST_WAIT
-    for _ in range(TRIES - 1):
+    for left in reversed(range(TRIES)):
         try:
             return function()
-        except (FileNotFoundError, PermissionError, IsADirectoryError, InputError):
+        except (FileExistsError, FileNotFoundError, PermissionError, IsADirectoryError, InputError):
             raise
-        except (OSError, TimeoutError, EOFError):
-            time.sleep(wait)
-            wait *= 2
-    return function()
+        except Exception as error:  # each kind of store has errors of its own
+            if not left and isinstance(error, OSError):
+                raise
+            if not left:
+                raise OSError(f"{type(error).__name__}: {error}") from error
+        time.sleep(wait)
+        wait *= 2
+    raise AssertionError("the last try returns or raises")
 
 
 def open_bytes(where: str) -> BinaryIO:
@@ -105,15 +110,11 @@ class Address:
         Raises:
             InputError: it cannot be read, or is larger than any photo.
         """
+        store, path = open_store(self.address)
         try:
-            store, path = open_store(self.address)
             return patiently(lambda: self._read(store, path))
-        except (OSError, TimeoutError, EOFError) as error:
+        except OSError as error:
             raise InputError(f"cannot be read from its store: {_reason(error)}") from error
-        except (InputError, MissingExtraError):
-            raise
-        except Exception as error:  # each kind of store has errors of its own
-            raise InputError(f"cannot be read from its store: {type(error).__name__}: {error}") from error
 
     def _read(self, store: Any, path: str) -> bytes:
         with store.open(path, "rb", block_size=1 << 22) as file:

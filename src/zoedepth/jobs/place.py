@@ -76,6 +76,6 @@ def job_place(out: str | Path, shard: JobShard, *, kept: bool = True) -> JobPlac
     store, root = open_store(address)
     try:
         fresh = not patiently(lambda: store.exists(root) and bool(store.ls(root, detail=False)))
-    except Exception as error:  # each kind of store has errors of its own
-        raise InputError(f"--out {out} cannot be looked at ({type(error).__name__}: {error})") from error
+    except OSError as error:
+        raise InputError(f"--out {out} cannot be looked at ({error.strerror or error})") from error
     return JobPlace(Store(address, fresh), shard, kept)

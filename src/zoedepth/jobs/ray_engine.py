@@ -19,7 +19,7 @@ from zoedepth.geometry.choice import CameraChoice
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Manifest
 from zoedepth.jobs.origins import Held
-from zoedepth.jobs.run import Tally, missing
+from zoedepth.jobs.run import Tally, missing, writing
 from zoedepth.jobs.work import Done, Input, do_photo
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
@@ -166,11 +166,14 @@ def run_on_ray(
             for each in batch["done"]:
                 done: Done = pickle.loads(each)
                 if done.end is None:
-                    _keep(manifest, done)
+                    with writing(manifest):
+                        manifest.add(done.entry)
                 tally.count(done)
                 yield done
                 if done.end is not None:
                     raise InputError(done.end)
+        with writing(manifest):
+            manifest.flush()
     finally:
         if ours and ray.is_initialized():
             ray.shutdown()
@@ -230,10 +233,3 @@ def _blocks(items: Iterator[Input | Done]) -> Iterator[list[Input | Done]]:
             block, n_blocks = [], n_blocks + 1
     if block:
         yield block
-
-
-def _keep(manifest: Manifest, done: Done) -> None:
-    try:
-        manifest.add(done.entry)
-    except OSError as error:
-        raise InputError(f"the manifest {manifest.path} cannot be written ({error.strerror or error})") from error

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import PurePosixPath
 
@@ -70,7 +71,8 @@ def run_job(
         tell_done: yield a result for those, too, that an earlier command has done.
 
     Raises:
-        InputError: nothing can be written any more: the disk is full, or gone.
+        InputError: nothing can be written any more: the disk is full, or gone, or another command has begun on the same
+            manifest in a store.
     """
     ends: list[InputError] = []
 
@@ -82,15 +84,31 @@ def run_job(
             ends.append(InputError(done.end))
             return done
         try:
-            manifest.add(done.entry)
-        except OSError as error:
-            ends.append(InputError(f"the manifest {manifest.path} cannot be written ({error.strerror or error})"))
+            with writing(manifest):
+                manifest.add(done.entry)
+        except InputError as error:
+            ends.append(error)
         return done
 
     to_do = missing(inputs, manifest, destination, tally, overwrite=overwrite, tell_done=tell_done)
     for done in in_turn(work, to_do, workers=workers, stop=lambda: ends[0] if ends else None):
         tally.count(done)
         yield done
+    with writing(manifest):
+        manifest.flush()
+
+
+@contextmanager
+def writing(manifest: Manifest) -> Iterator[None]:
+    """Name the manifest where it cannot be written.
+
+    Raises:
+        InputError: it cannot be written: the disk is full, or gone, or another command has begun on it.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise InputError(f"the manifest {manifest.name} cannot be written ({error.strerror or error})") from error
 
 
 def missing(
