@@ -402,12 +402,20 @@ def test_log_gradient_is_the_mean_of_the_images_that_have_known_pixels():
 def test_spread_by_hand_and_least_where_it_is_the_error():
     depth, target = maps([[2.0, 4.0]]), maps([[1.0, 0.0]])
     known = torch.tensor([[[[True, False]]]])
-    loss = spread(depth, maps([[0.5, 9.0]]), target, known)
+    loss = spread(depth, maps([[0.5, 9.0]]), target, known, floor=0)
     assert loss.item() == pytest.approx(math.log(0.25) + 1 / 0.5)
-    around = [spread(depth, maps([[s, 9.0]]), target, known).item() for s in (0.9, 1.0, 1.1)]
+    around = [spread(depth, maps([[s, 9.0]]), target, known, floor=0).item() for s in (0.9, 1.0, 1.1)]
     assert around[1] < min(around[0], around[2])
-    assert math.isfinite(spread(depth, torch.zeros_like(depth), target, known).item())  # s is at least 0.001 d
+    sure = spread(depth, torch.zeros_like(depth), target, known)
+    assert sure.item() == pytest.approx(math.log(0.02) + 1 / 0.04)
     assert spread(depth, depth, target, known & False).item() == 0
+
+
+def test_spread_counts_images_alike_however_many_of_their_pixels_are_known():
+    depth, target = maps([[2.0, 4.0]], [[1.0, 3.0]], [[5.0, 5.0]]), maps([[1.0, 3.0]], [[2.0, 0.0]], [[0.0, 0.0]])
+    std, known = torch.full_like(depth, 0.5), target > 0
+    alone = [spread(depth[i : i + 1], std[i : i + 1], target[i : i + 1], known[i : i + 1]).item() for i in (0, 1)]
+    assert spread(depth, std, target, known).item() == pytest.approx(sum(alone) / 2)
 
 
 def test_spread_moves_the_standard_deviation_and_not_the_depth():

@@ -217,26 +217,29 @@ def log_gradient(
 
 
 def spread(
-    depth: Map, std: Map, target: Map, mask: Mask, *, min_ratio: float = 1e-3, total: Total = alone
+    depth: Map, std: Map, target: Map, mask: Mask, *, floor: float = 0.02, total: Total = alone
 ) -> Float[Tensor, ""]:
-    """Compute how badly the standard deviation tells the error: ln(s / d) + |d - target| / s, the mean of the pixels.
+    """Compute how badly the standard deviation tells the error: ln(s / d) + |d - target| / s, the mean over images.
 
     It is least where s is the error to be expected of such pixels. The depth d is taken as it is: no gradient makes it
-    worse to be surer of it. (Not in the paper: the negative log-likelihood of Laplace's distribution.)
+    worse to be surer of it. Images without known pixels do not count. (Not in the paper: the negative log-likelihood of
+    Laplace's distribution.)
 
     Args:
         depth: d, metres, > 0.
-        std: s, metres.
+        std: metres; s is the root of its square and that of the floor.
         target: metres; anything where it is unknown.
         mask: True where it is known.
-        min_ratio: s is not taken for less than this share of d.
+        floor: share of d that s has at least, so that a pixel of which the model is far too sure does not outweigh all
+            others.
         total: sums a tensor over all processes.
     """
     depth, mask = depth.detach().float(), mask.bool()
-    std = torch.maximum(std.float(), min_ratio * depth)
+    s = torch.hypot(std.float(), floor * depth)
     error = torch.where(mask, (depth - target.float()).abs(), 0.0)
-    pixels = torch.where(mask, torch.log(std / depth) + error / std, 0.0)
-    return total(pixels.sum()) / total(mask.sum().float()).clamp(min=1)
+    pixels = torch.where(mask, torch.log(s / depth) + error / s, 0.0)
+    n_known = mask.flatten(1).sum(dim=1)
+    return mean_counted(pixels.flatten(1).sum(dim=1) / n_known.clamp(min=1), n_known > 0, total=total)
 
 
 def domain_cross_entropy(logits: Float[Tensor, "batch domains"], domain: Int[Tensor, " batch"]) -> Float[Tensor, ""]:

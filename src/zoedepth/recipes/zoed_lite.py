@@ -24,8 +24,8 @@ _SYNTHETIC = replace(_INDOOR, name="synthetic", weight=3)
 CANONICAL = replace(
     ZOED_LITE,
     decoder=replace(ZOED_LITE.decoder, upsampling="convex"),
-    # Up to the released 50, all bins start as alike likely and stay so: the deviation would say nothing.
-    head=replace(ZOED_LITE.head, max_temperature=1.0),
+    # The place and the temperature of the log-binomial come to rest at their bounds, and the deviation says nothing.
+    head=replace(ZOED_LITE.head, probability="softmax"),
     canonical_camera=True,
     # Scaled to the camera of NYU or KITTI, what a wide lens sees is farther than these sets reach.
     domains=tuple(replace(domain, max_depth=2 * domain.max_depth) for domain in ZOED_LITE.domains),
