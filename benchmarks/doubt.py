@@ -3,8 +3,8 @@
     python -m benchmarks.doubt --data nyu=nyu/test.csv kitti=kitti/test.csv [--model zoed-lite] [--camera data]
 
 Each number is that of a photo's scored pixels, averaged over the photos: REL of all of them, of the half and of the
-quarter that the model is surest of (std / depth is least), and of the quarter that it is least sure of; AUSE; the share of
-pixels whose truth lies within one and within two standard deviations; and the median of std / depth.
+quarter that the model is surest of (std / depth is least), and of the quarter that it is least sure of; AUSE; the share
+of pixels whose truth lies within one and within two standard deviations; and the median of std / depth.
 """
 
 from typing import Literal
