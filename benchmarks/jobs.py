@@ -3,12 +3,15 @@
     python -m benchmarks.jobs kill [--kills 50] [--photos 300] [--shards 1] [--engine process] [--fork]
     python -m benchmarks.jobs lose-a-node [--photos 60]
     python -m benchmarks.jobs overhead [--photos 1000] [--turns 5]
+    python -m benchmarks.jobs ray-overhead [--photos 512] [--turns 5] [--workers N]
     python -m benchmarks.jobs many [--photos 100000]
     python -m benchmarks.jobs parts [--photos 50]
     python -m benchmarks.jobs simulate [--machines 1000] [--photos 10000000]
 
 ``kill`` and ``lose-a-node`` exit with 0 if every input is done exactly once, no file is half written, and all files
-have the bits of a run that was left alone. ``overhead`` counts the processor's time, which others hardly change.
+have the bits of a run that was left alone. ``overhead`` counts the processor's time, which others hardly change;
+``ray-overhead`` needs a machine that nobody else uses, because Ray's work is in many processes, and only the clock sees
+it all.
 """
 
 import json
@@ -190,6 +193,60 @@ def overhead(*, photos: int = 1000, turns: int = 5, network: bool = True) -> int
     return 0
 
 
+def ray_overhead(*, photos: int = 512, turns: int = 5, workers: int | None = None) -> int:
+    """Compare, in turns, one process with Ray on the same cores: photos a second by the clock, after Ray's start.
+
+    The second half of the photos is timed: by then all actors have their model.
+
+    Args:
+        photos: of each turn.
+        turns: how often each is done.
+        workers: cores; None: all.
+    """
+    from zoedepth import Predictor, load_model
+    from zoedepth.batch import Request, cpu_count, share_cores
+    from zoedepth.jobs.inputs import Sources
+    from zoedepth.jobs.place import job_place
+    from zoedepth.jobs.ray_engine import run_on_ray
+    from zoedepth.jobs.run import Tally, run_job
+    from zoedepth.jobs.shard import JobShard
+
+    n_cores, request = workers or cpu_count(), Request("zoed-lite", ("depth",))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        write_photos(folder / "in", photos)
+        predictor = Predictor(load_model("zoed-lite"), flip_average=False)
+
+        def rate(engine: str, out: Path) -> float:
+            """Do all photos, and return how many of the second half are done in a second."""
+            place, times = job_place(out, JobShard()), [0.0]
+            with place.opened() as manifest, share_cores(n_cores):
+                manifest.begin({}, named=False)
+                inputs, tally = Sources((str(folder / "in"),)).inputs(), Tally()
+                if engine == "ray":
+                    results = run_on_ray(inputs, predictor, request, model="zoed-lite", device="cpu", address="local",
+                                         manifest=manifest, destination=place.destination, workers=n_cores,
+                                         tally=tally)  # fmt: skip
+                else:
+                    results = run_job(inputs, predictor, request, manifest=manifest, destination=place.destination,
+                                      workers=n_cores, tally=tally)  # fmt: skip
+                for done in results:
+                    assert done.entry.error is None
+                    times.append(time.monotonic())
+            shutil.rmtree(out)
+            return (photos - photos // 2) / (times[-1] - times[photos // 2])
+
+        ratios = []
+        for turn in range(turns):
+            order = ("process", "ray") if turn % 2 else ("ray", "process")
+            rates = {engine: rate(engine, folder / f"{engine}-{turn}") for engine in order}
+            ratios.append(rates["process"] / rates["ray"])
+            print(f"{rates['process']:.2f} photos a second in one process, {rates['ray']:.2f} with Ray", flush=True)
+        print(f"{n_cores} cores: a photo takes {statistics.median(ratios):.3f} times as long with Ray "
+              f"({min(ratios):.3f} - {max(ratios):.3f})")  # fmt: skip
+    return 0
+
+
 def many(*, photos: int = 100_000) -> int:
     """Do tiny photos without a network: when the first is there, what memory it takes, and how fast the manifest is."""
     from zoedepth.batch import Request
@@ -210,7 +267,7 @@ def many(*, photos: int = 100_000) -> int:
         predictor: Any = _Nothing()
         memory: dict[int, float] = {}
         for attempt in ("first", "second"):
-            began, first, tally = time.perf_counter(), 0.0, Tally()
+            began, busy, first, tally = time.perf_counter(), time.process_time(), 0.0, Tally()
             place = job_place(folder / "out", JobShard())
             with place.opened() as manifest:
                 manifest.begin({}, named=False)
@@ -220,8 +277,9 @@ def many(*, photos: int = 100_000) -> int:
                     first = first or time.perf_counter() - began
                     if tally.seen % 10_000 == 0:
                         memory[tally.seen] = _resident()
-            seconds = time.perf_counter() - began
-            print(f"{attempt} start: {tally.done} done, {tally.before} done before, {seconds:.1f} s", flush=True)
+            seconds, busy = time.perf_counter() - began, time.process_time() - busy
+            print(f"{attempt} start: {tally.done} done, {tally.before} done before, {seconds:.1f} s by the clock, "
+                  f"{busy:.1f} s of a core", flush=True)  # fmt: skip
             if tally.done:
                 print(f"the first result came after {first:.2f} s; {tally.done / seconds:.0f} photos a second")
                 print("memory in MB: " + ", ".join(f"{n}: {mb:.0f}" for n, mb in memory.items()))
@@ -526,8 +584,8 @@ def _manifest_times(n: int) -> tuple[float, float]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one of the measurements."""
     commands = {
-        "kill": kill, "lose-a-node": lose_a_node, "overhead": overhead, "many": many, "parts": parts,
-        "simulate": simulate,
+        "kill": kill, "lose-a-node": lose_a_node, "overhead": overhead, "ray-overhead": ray_overhead, "many": many,
+        "parts": parts, "simulate": simulate,
     }  # fmt: skip
     return tyro.extras.subcommand_cli_from_dict(commands, args=arguments)
 

@@ -515,6 +515,16 @@ class TestJobs:
         assert predict(folder, "--no-flip", "--no-preview", out=tmp_path / "out") == 1
         assert re.search(r"3( of 4)? photos written, 1 failed", capsys.readouterr().err)
 
+    def test_they_are_counted_only_where_something_is_to_do(
+        self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        counted: list[object] = []
+        monkeypatch.setattr("zoedepth.commands.predict._FIRST", 2)
+        monkeypatch.setattr("zoedepth.jobs.run.count_in_background", lambda tally, count: counted.append(count))
+        for _ in range(2):
+            assert predict(folder, "--no-flip", "--no-preview", "--json", out=tmp_path / "out") == 0
+            assert len(counted) == 1
+
     def test_a_list_with_a_column(self, folder: Path, tmp_path: Path) -> None:
         (tmp_path / "list.csv").write_text("name,where\n" + "".join(f"{i},in/{i}.png\n" for i in range(3)))
         options = ["--column", "where", "--focal-px", "30", "--no-flip", "--no-preview"]

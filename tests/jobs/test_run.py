@@ -217,6 +217,25 @@ def test_a_full_disk_is_the_end_and_it_goes_on_when_there_is_room(
     assert (tally.done, tally.failed) == (4, 0)
 
 
+def test_a_disk_that_is_gone_is_the_end_and_it_goes_on_when_it_is_back(folder: Path, tmp_path: Path) -> None:
+    out, away = tmp_path / "out", tmp_path / "away"
+
+    def take_away(_: object) -> None:
+        if not away.exists():
+            out.rename(away)
+            out.touch()  # nothing can be written below a file, whatever rights one has
+
+    with pytest.raises(InputError, match="cannot write to"):
+        run(folder, out=out, at=take_away)
+    out.unlink()
+    away.rename(out)
+    _, tally = run(folder, out=out)
+    assert (tally.seen, tally.failed) == (4, 0)
+    assert tally.before > 0
+    run(folder, out=tmp_path / "expected")
+    assert contents(out) == contents(tmp_path / "expected")
+
+
 def test_a_folder_that_cannot_be_listed_is_told_and_the_rest_is_done(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
