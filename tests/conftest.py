@@ -26,6 +26,9 @@ settings.register_profile("repeatable", derandomize=True, database=None, deadlin
 settings.register_profile("fuzz", derandomize=False, max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("repeatable")
 
+# Nothing that is imported or collected is ever freed: the garbage collector would look through it again and again.
+gc.disable()
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Let tests predict pictures of one colour: they know that nothing can be seen in them."""
@@ -33,9 +36,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Take what was imported and collected out of the garbage collector's sight: none of it is ever freed."""
-    gc.collect()
+    """Take what was imported and collected out of the garbage collector's sight, and let it look less often.
+
+    A test makes some ten thousand objects, and imports a library now and then: both are no reason to look through all.
+    """
     gc.freeze()
+    gc.set_threshold(20_000, 10, 20)
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
