@@ -3,7 +3,7 @@ from typing import Any, ClassVar
 
 import pytest
 import torch
-from tests.model.heads.base import CHANNELS, DOMAIN, HeadTester, build_head, decoder_features
+from tests.model.heads.base import CHANNELS, DOMAIN, Head, HeadTester, build_head, decoder_features
 from torch import nn
 from torch.nn.functional import adaptive_avg_pool2d, conv2d, gelu, interpolate
 
@@ -50,6 +50,11 @@ class TestNewCrfsHead(HeadTester):
     @pytest.fixture(params=list(OPTIONS))
     def config(self, request: pytest.FixtureRequest) -> NewCrfsConfig:
         return OPTIONS[request.param]
+
+    def shorten(self, head: Head) -> None:
+        """Keep the blocks of the level with the most windows, a plain and a shifted one; the others repeat them."""
+        for level in head.domain.crfs.levels[:-1]:
+            del level.blocks[:]
 
 
 def count(config: NewCrfsConfig) -> dict[str, int]:
