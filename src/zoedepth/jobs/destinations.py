@@ -22,7 +22,10 @@ from zoedepth.outputs.ownership import has_own_mark
 DRAFTS = ".zoedepth-drafts"
 """Beginning of the name of the folder in which files are written before they get their places."""
 
-_WHOLE = ("s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "adl", "oci", "oss", "r2", "memory")
+_EXCLUSIVE = {"s3", "s3a", "gs", "gcs"}
+"""Stores that can be asked to take a file only if there is none."""
+
+_WHOLE = {*_EXCLUSIVE, "abfs", "abfss", "az", "adl", "oci", "oss", "r2", "memory"}
 """Stores in which a file is there when all of it is, and not before."""
 
 _LATER = "Look after the store, and type the same again"
@@ -289,22 +292,25 @@ class Store:
         Args:
             file: the file.
             relative: its place.
-            replace: False makes it an error if a file is there already. S3, Google's and Azure's stores look and write
-                in one step; with others, two commands may do so at the same moment.
+            replace: False makes it an error if a file is there already. Amazon's and Google's stores look and write in
+                one step; with others, two commands may do so at the same moment.
 
         Raises:
             OSError: it cannot be written.
         """
         store, root = open_store(self.address)
         path = f"{root.rstrip('/')}/{relative}"
-        whole = any(protocol in _WHOLE for protocol in _protocols(store))
+        protocols = _protocols(store)
 
         def put() -> None:
-            if whole:
-                store.put_file(str(file), path, **({} if replace else {"mode": "create"}))
+            if not replace and protocols & _EXCLUSIVE:
+                store.put_file(str(file), path, mode="create")
                 return
             if not replace and store.exists(path):
                 raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), path)
+            if protocols & _WHOLE:
+                store.put_file(str(file), path)
+                return
             store.makedirs(path.rpartition("/")[0], exist_ok=True)
             store.put_file(str(file), f"{path}.part")  # servers of files show what has come so far
             store.mv(f"{path}.part", path)
@@ -355,9 +361,9 @@ class Store:
             return None
 
 
-def _protocols(store: object) -> tuple[str, ...]:
+def _protocols(store: object) -> set[str]:
     protocol = getattr(store, "protocol", ())
-    return (protocol,) if isinstance(protocol, str) else tuple(protocol)
+    return {protocol} if isinstance(protocol, str) else set(protocol)
 
 
 def _is_own(head: bytes) -> bool:

@@ -11,8 +11,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import torch
-
 from zoedepth.batch import Request
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.geometry.choice import CameraChoice
@@ -23,6 +21,7 @@ from zoedepth.jobs.run import Tally, missing, writing
 from zoedepth.jobs.work import Done, Input, do_photo
 from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
+from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.load import load_model
 
 _BLOCK, _FIRST_BLOCKS, _LARGE_BLOCK = 8, 10_000, 64
@@ -55,9 +54,10 @@ class Recipe:
     def predictor(self) -> Predictor:
         """Make the predictor, on one core where it computes on the CPU."""
         import ray
+        import torch
 
         torch.set_num_threads(1)
-        network: DepthModel = load_model(self.model) if self.network is None else ray.get(self.network)
+        network: DepthModel | ExportedModel = load_model(self.model) if self.network is None else ray.get(self.network)
         return Predictor(
             network,
             flip_average=self.flip_average,
@@ -202,7 +202,7 @@ def _recipe(predictor: Predictor, model: str, device: str) -> Recipe:
     import ray
 
     network = predictor.model
-    exported = next(network.parameters(), None) is None
+    exported = isinstance(network, ExportedModel)
     return Recipe(
         model,
         None if exported else ray.put(network.to("cpu")),

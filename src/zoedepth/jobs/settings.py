@@ -3,27 +3,31 @@
 import hashlib
 from dataclasses import asdict
 from pathlib import Path
-
-import torch
+from typing import TYPE_CHECKING
 
 from zoedepth import __version__
 from zoedepth.batch import Request
 from zoedepth.calibration import Calibration
-from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
+from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 
+if TYPE_CHECKING:
+    from zoedepth.model.interface import DepthModel
 
-def network_fingerprint(network: DepthModel, model: str) -> str:
+
+def network_fingerprint(network: "DepthModel | ExportedModel", model: str) -> str:
     """Return a hash of a network: its configuration and its weights, whatever file or name they came from.
 
     Args:
         network: the model, as it was loaded.
         model: its name; of an exported model, its file, for its weights are in no tensors here.
     """
-    tensors = network.state_dict()
-    if not tensors and Path(model).exists():
+    if isinstance(network, ExportedModel):
         return weights_fingerprint(Path(model))
+    import torch
+
+    tensors = network.state_dict()
     digest = hashlib.sha256(repr(network.config).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
