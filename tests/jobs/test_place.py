@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.jobs.destinations import LocalFolder, Store
+from zoedepth.jobs.destinations import LocalFolder
 from zoedepth.jobs.place import job_place
 from zoedepth.jobs.shard import JobShard
+from zoedepth.jobs.store import Store
 
 
 def test_a_folder_is_made_and_has_a_manifest_for_each_shard(tmp_path: Path) -> None:

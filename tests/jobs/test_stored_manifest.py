@@ -8,9 +8,9 @@ from tests.test_batch import fail_with
 
 from zoedepth.errors import InputError
 from zoedepth.jobs import origins, stored_manifest
-from zoedepth.jobs.destinations import Store
 from zoedepth.jobs.manifest import Entry
 from zoedepth.jobs.run import writing
+from zoedepth.jobs.store import Store
 from zoedepth.jobs.stored_manifest import StoredManifest, stored_parts
 
 NAME = "zoedepth-manifest.jsonl"

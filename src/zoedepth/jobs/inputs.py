@@ -92,9 +92,10 @@ class Sources:
         return self._inputs(self.found)
 
     def count(self) -> Iterator[Input]:
-        """Yield them as ``inputs`` does, without keeping what could not be read. Nothing is yielded of what takes long.
+        """Yield them as ``inputs`` does, without keeping what could not be read.
 
-        A tar file must be read from its beginning to its end, which is done once.
+        Raises:
+            InputError: a tar file is among them, which would be read from its beginning to its end for this.
         """
         if any(_kind(name) == "tar" for name in self.names):
             raise InputError("the members of a tar file are not counted first")
@@ -192,7 +193,7 @@ def _stem(name: str) -> str:
     """Return the name of a folder, an archive or a prefix without its suffixes, for a folder of its own."""
     last = posixpath.basename(name.rstrip("/")) if is_address(name) else Path(name).resolve().name
     suffix = next((suffix for suffix in (*ZIPS, *TARS) if last.lower().endswith(suffix)), "")
-    return "" if glob.has_magic(last) else last.removesuffix(last[len(last) - len(suffix) :]) if suffix else last
+    return "" if glob.has_magic(last) else last[: len(last) - len(suffix)]
 
 
 def _plain(path: str) -> PurePosixPath:

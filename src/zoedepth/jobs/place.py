@@ -7,11 +7,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from zoedepth.errors import InputError
-from zoedepth.jobs.destinations import Destination, LocalFolder, Store
+from zoedepth.jobs.destinations import Destination, LocalFolder
 from zoedepth.jobs.lock import only_one
 from zoedepth.jobs.manifest import Manifest, manifest_name
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
+from zoedepth.jobs.store import Store
 from zoedepth.jobs.stored_manifest import StoredManifest
 
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
-from zoedepth.jobs.destinations import Store
 from zoedepth.jobs.lock import lock_file, only_one
 from zoedepth.jobs.manifest import NAME, Entry, Manifest, begin_line, manifest_name
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
+from zoedepth.jobs.store import Store
 from zoedepth.jobs.stored_manifest import StoredManifest
 
 _FILE = re.compile(rf"{NAME}(?:-(\d+)-of-(\d+))?(?:\.jsonl)?")
@@ -142,8 +142,6 @@ def merge_shards(out: str) -> int:
         for name in names:
             if name != whole:
                 (folder / name).unlink()
-        for name in names:
-            if name != whole:
                 lock_file(folder / name).unlink(missing_ok=True)
         with _opened(out, whole) as manifest:
             return manifest.n_done

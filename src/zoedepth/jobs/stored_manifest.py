@@ -9,9 +9,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
 
-from zoedepth.jobs.destinations import Store
 from zoedepth.jobs.manifest import Manifest, parse_line
 from zoedepth.jobs.origins import open_store, patiently
+from zoedepth.jobs.store import Store
 
 EVERY = 5.0
 """Seconds after which new lines go to the store as a part, at the next line."""
