@@ -32,7 +32,7 @@ model = build_model(replace(presets.ZOED_LITE, head=SigmoidConfig(), domains=(IN
 rooms = open_dataset("synthetic:rooms?n=2&size=96x128")
 batch = collate([rooms[i] for i in range(2)], domains=("indoor",))
 optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3)
-for step in range(20):
+for step in range(10):
     loss = silog(model(batch.pixels).depth, batch.target, batch.mask)  # the paper's loss
     optimizer.zero_grad()
     loss.backward()

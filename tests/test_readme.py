@@ -79,11 +79,11 @@ def test_commands(workplace: Path) -> None:
     for line in lines:
         if line.split()[1] == "serve":  # it ends by a signal: tests/commands/test_serve.py
             continue
-        # The commands as they are, except for the length of the training.
+        # The commands as they are, except for the length of the training, and the size of what it sees.
         if line.split()[1:3] == ["train", "finetune"]:
             line += " --steps 1 --batch-size 1"
         elif line.split()[1] == "train":
-            line += " --config.steps 1 --config.batch-size 2 --config.n-workers 0"
+            line += " --config.steps 1 --config.batch-size 2 --config.n-workers 0 --config.model.size 64 96"
         assert main(shlex.split(line)[1:]) == 0, line
     assert (workplace / "depth" / "photo_depth.png").is_file()
     assert (workplace / "photo.html").is_file()
