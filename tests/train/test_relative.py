@@ -56,7 +56,7 @@ def test_two_photos_are_learned_by_heart(make_config: MakeConfig, tmp_path: Path
     config = make_config(
         "relative",
         sources=(calm, dataclasses.replace(calm, name="relative")),
-        steps=60,
+        steps=40,
         ema_decay=None,
         checkpoint_every=1000,
         optim=OptimConfig(learning_rate=5e-3, encoder_factor=1.0, warmup=0.2, initial_division=10, clip=1.0),
