@@ -12,7 +12,6 @@ import errno
 import hashlib
 import json
 import os
-import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -23,7 +22,7 @@ from uuid import uuid4
 
 from zoedepth.errors import InputError
 from zoedepth.jobs.lock import this_process
-from zoedepth.jobs.names import key_of
+from zoedepth.jobs.names import key_of, temporary_database
 from zoedepth.jobs.shard import JobShard
 from zoedepth.stored import readable, to_json
 
@@ -125,9 +124,7 @@ class Manifest:
         self.n_done = self.n_failed = 0
         """Inputs that are done by the settings of the last command, and those that have only failed."""
         self._lock = threading.Lock()
-        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        self._database.execute("PRAGMA synchronous = OFF")
-        self._database.execute("PRAGMA journal_mode = OFF")
+        self._database = temporary_database()
         self._database.execute(
             "CREATE TABLE entries (key BLOB PRIMARY KEY, place INTEGER, done INTEGER, run TEXT) WITHOUT ROWID"
         )

@@ -11,10 +11,7 @@ class Names:
     """
 
     def __init__(self) -> None:
-        # "" is a database on disk without a name, which SQLite deletes when it is closed, also by a kill.
-        self._database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
-        self._database.execute("PRAGMA synchronous = OFF")
-        self._database.execute("PRAGMA journal_mode = OFF")
+        self._database = temporary_database()
         self._database.execute("CREATE TABLE names (key BLOB PRIMARY KEY) WITHOUT ROWID")
 
     def add(self, name: str) -> bool:
@@ -25,6 +22,14 @@ class Names:
     def close(self) -> None:
         """Give the space on the disk back."""
         self._database.close()
+
+
+def temporary_database() -> sqlite3.Connection:
+    """Return a database on disk without a name, which SQLite deletes when it is closed, also by a kill."""
+    database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+    database.execute("PRAGMA synchronous = OFF")
+    database.execute("PRAGMA journal_mode = OFF")
+    return database
 
 
 def key_of(name: str) -> bytes:
