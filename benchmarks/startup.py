@@ -2,12 +2,17 @@
 
 import subprocess
 import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
 
 from benchmarks.timing import compare
 
 
 def main() -> None:
-    """Time ``zoedepth --help`` and ``import zoedepth`` beside their floors: the interpreter and ``import torch``."""
+    """Time ``zoedepth --help``, ``import zoedepth`` and one photo beside their floors: Python and ``import torch``."""
 
     def process(*arguments: str):
         return lambda: subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
@@ -22,3 +27,18 @@ def main() -> None:
         "from zoedepth import Predictor, load_model": process("-c", "from zoedepth import Predictor, load_model"),
         "load_model('zoed-lite')": process("-c", "import zoedepth; zoedepth.load_model('zoed-lite')"),
     }, runs=3, warmup=1)  # fmt: skip
+    with tempfile.TemporaryDirectory() as name:
+        folder, zoedepth = Path(name), [sys.executable, "-m", "zoedepth"]
+        photo, exported = folder / "photo.jpg", folder / "zoed-lite.onnx"
+        Image.fromarray(np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)).save(photo)
+        subprocess.run([*zoedepth, "export", "zoed-lite", "--to", "onnx", "--out", exported], check=True)
+
+        def predict(model: str | Path):
+            arguments = ("--model", str(model), "--out", str(folder / "depth"), "--no-preview", "--overwrite")
+            return process("-m", "zoedepth", "predict", str(photo), *arguments)
+
+        compare("one photo, from the command to the files", {
+            "import torch": process("-c", "import torch"),
+            "predict --model zoed-lite.onnx": predict(exported),
+            "predict --model zoed-lite": predict("zoed-lite"),
+        }, runs=5, warmup=1)  # fmt: skip

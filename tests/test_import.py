@@ -1,10 +1,17 @@
 import subprocess
 import sys
 from importlib.metadata import version
+from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
+from tests.export.models import flat
 
 import zoedepth
+from zoedepth.config import ModelConfig
+from zoedepth.export import export_model
+from zoedepth.predict import Predictor
 
 TORCH = {"torch"}
 LATER = {
@@ -32,6 +39,7 @@ def modules_after(code: str) -> set[str]:
         "from zoedepth.cli import main; assert main(['--help']) == 0",
         "from zoedepth.cli import main; assert main(['--version']) == 0",
         "import zoedepth.commands.predict",
+        "from zoedepth import Predictor, load_model",
     ],
 )
 def test_cheap_imports_and_help_need_neither_torch_nor_anything_heavy(code: str):
@@ -39,9 +47,34 @@ def test_cheap_imports_and_help_need_neither_torch_nor_anything_heavy(code: str)
 
 
 def test_loading_code_of_the_model_needs_torch_but_not_what_is_used_later():
-    found = modules_after("from zoedepth import Predictor, ZoeDepth, load_model")
+    found = modules_after("from zoedepth import ZoeDepth")
     assert "torch" in found
     assert found & LATER == set()
+
+
+WITHOUT_TORCH = """
+import sys
+
+class Refused:
+    def find_spec(self, name, path=None, target=None):
+        assert name.partition(".")[0] not in ("torch", "timm", "torchvision"), f"{name} is imported"
+
+sys.meta_path.insert(0, Refused())
+from zoedepth.cli import main
+
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_exported_model_predicts_without_torch_what_torch_predicts(tiny_config: ModelConfig, tmp_path: Path):
+    model, photo, exported = flat(tiny_config, 2), tmp_path / "photo.png", tmp_path / "model.onnx"
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (70, 90, 3), np.uint8)).save(photo)
+    export_model(model, exported, to="onnx")
+    command = ["predict", str(photo), "--model", str(exported), "--out", str(tmp_path), "--save", "npy", "--pad", "yes"]
+    done = subprocess.run([sys.executable, "-c", WITHOUT_TORCH, *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    expected = Predictor(model, pad=True)(photo).depth
+    np.testing.assert_allclose(np.load(tmp_path / "photo_depth.npy"), expected, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", zoedepth.__all__)

@@ -11,9 +11,9 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.provenance import Provenance, from_card, from_texts, require_licence
 from zoedepth.weights.checkpoint import read_checkpoint, write_checkpoint
-from zoedepth.weights.load import load_model, push_to_hub, save_model
+from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import RELEASES
-from zoedepth.weights.save import checkpoint_of
+from zoedepth.weights.save import checkpoint_of, push_to_hub, save_model
 
 ABOUT = Provenance("non-commercial research", "NYU Depth v2, for research", {"nyu": {"rel": 0.179, "delta1": 0.742}})
 

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from zoedepth.panorama import PanoramaMap, predict_panorama
     from zoedepth.predict import Predictor
     from zoedepth.stored import read_depth
-    from zoedepth.weights.load import ZoeDepth, available_models, load_model, push_to_hub, save_model
+    from zoedepth.weights.load import available_models, load_model
+    from zoedepth.weights.pretrained import ZoeDepth
+    from zoedepth.weights.save import push_to_hub, save_model
 
 __version__ = "0.1.0"
 
@@ -69,10 +71,16 @@ def __getattr__(name: str) -> object:
         value = getattr(panorama, name)
     elif name == "Predictor":
         from zoedepth.predict import Predictor as value
-    elif name in ("ZoeDepth", "available_models", "load_model", "push_to_hub", "save_model"):
+    elif name in ("available_models", "load_model"):
         from zoedepth.weights import load
 
         value = getattr(load, name)
+    elif name == "ZoeDepth":
+        from zoedepth.weights.pretrained import ZoeDepth as value
+    elif name in ("push_to_hub", "save_model"):
+        from zoedepth.weights import save
+
+        value = getattr(save, name)
     elif name == "read_depth":
         from zoedepth.stored import read_depth as value
     else:

@@ -31,7 +31,12 @@ MODULES = {
 }
 """Old name of a module → the new one; it holds for what is inside of a package, too."""
 
-NAMES = {("zoedepth.images", "read_depth"): ("zoedepth.stored", "read_depth")}
+NAMES = {
+    ("zoedepth.images", "read_depth"): ("zoedepth.stored", "read_depth"),
+    ("zoedepth.weights.load", "ZoeDepth"): ("zoedepth.weights.pretrained", "ZoeDepth"),
+    ("zoedepth.weights.load", "push_to_hub"): ("zoedepth.weights.save", "push_to_hub"),
+    ("zoedepth.weights.load", "save_model"): ("zoedepth.weights.save", "save_model"),
+}
 """(Module, old name in it) → (module, name) of today."""
 
 

@@ -1,5 +1,7 @@
 """The size at which the network sees a photo, and the focal length that the photo then has."""
 
+import math
+
 
 def network_size(
     size: tuple[int, int], target: tuple[int, int], *, multiple: int = 32, keep_aspect_ratio: bool = True
@@ -22,6 +24,11 @@ def network_size(
     scale = scales[1] if abs(1 - scales[1]) < abs(1 - scales[0]) else scales[0]
     height, width = (max(multiple, round(scale * side / multiple) * multiple) for side in size)
     return height, width
+
+
+def border(size: tuple[int, int]) -> tuple[int, int]:
+    """Return how many rows and columns a photo of ``size`` is padded by on each side, as released: 3 sqrt(side / 2)."""
+    return int(math.sqrt(size[0] / 2) * 3), int(math.sqrt(size[1] / 2) * 3)
 
 
 def network_focal(focal_px: float, height: int, network_height: int) -> float:

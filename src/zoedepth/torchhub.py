@@ -20,7 +20,7 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.pixels import check_pixels, resize_pixels
 from zoedepth.predict import Predictor
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
-from zoedepth.weights.load import load_model
+from zoedepth.weights.load import load_network
 from zoedepth.weights.releases import download_folder
 
 MIDAS_MODELS = {
@@ -185,7 +185,7 @@ def _load(source: str, compat: tuple[str, ...]) -> DepthModel:
     source = source.removeprefix("local::").removeprefix("url::")
     if source.startswith(("http://", "https://")):
         source = str(download(source, download_folder() / Path(urlparse(source).path).name))
-    return load_model(source, compat=compat)
+    return load_network(source, compat=compat)
 
 
 def _kind(config: AnyModelConfig) -> tuple[int, str]:

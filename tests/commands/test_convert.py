@@ -13,8 +13,9 @@ from tests.twins import KITTI, NYU, twin, twin_config
 from zoedepth.cli import main
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.checkpoint import read_checkpoint
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import RELEASES
+from zoedepth.weights.save import save_model
 
 
 @pytest.fixture(scope="module")

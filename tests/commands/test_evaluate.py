@@ -23,7 +23,8 @@ from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Pro
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.depth import write_depth_png
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import save_model
 
 METRICS = {f.name for f in fields(Metrics)}
 

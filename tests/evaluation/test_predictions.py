@@ -39,7 +39,8 @@ from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 from zoedepth.stored.maps import RELATIVE_KEY
 from zoedepth.weights.fingerprint import weights_fingerprint
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import save_model
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
 

@@ -7,7 +7,7 @@ from tests.folders import write_pairs
 
 from zoedepth.config import ModelConfig
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.weights.load import save_model
+from zoedepth.weights.save import save_model
 
 
 def write_released(folder: Path, tiny: ModelConfig) -> None:

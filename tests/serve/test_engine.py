@@ -14,6 +14,7 @@ from tests.serve.running import photo
 from zoedepth.config import INDOOR, BaselineConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.forward.tensors import TensorForward
 from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
 from zoedepth.serve.engine import Engine, Wanted, as_problem
@@ -115,7 +116,7 @@ def test_photos_of_one_size_go_through_the_model_together(
         return batch(self, images, **options)  # pyright: ignore[reportArgumentType]
 
     monkeypatch.setattr(Predictor, "batch", counted)
-    monkeypatch.setattr(Predictor, "_one_by_one", False)  # as on an accelerator
+    monkeypatch.setattr(TensorForward, "_one_by_one", False)  # as on an accelerator
 
     async def game(engine: Engine) -> list[DepthMap]:
         contents = [photo(64, 48, seed=seed) for seed in range(4)]

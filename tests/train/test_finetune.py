@@ -29,7 +29,8 @@ from zoedepth.provenance import Provenance
 from zoedepth.train import finetune as module
 from zoedepth.train.config import FinetuneOptions, TrainConfig
 from zoedepth.train.finetune import Plan, plan, steps_for
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import save_model
 
 
 @pytest.fixture

@@ -26,7 +26,8 @@ from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import metric_losses, train_metric
 from zoedepth.train.relative import train_relative
 from zoedepth.train.state import checkpoints
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import save_model
 
 MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]

@@ -22,7 +22,8 @@ from zoedepth.train import relative
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import RelativeModel, train_relative
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import save_model
 
 MakeConfig = Callable[..., TrainConfig]
 Data = dict[str, Path]

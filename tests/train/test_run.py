@@ -21,7 +21,7 @@ from zoedepth.train.relative import RelativeModel
 from zoedepth.train.report import report
 from zoedepth.train.run import Run, last_checkpoint, set_up
 from zoedepth.train.state import checkpoints
-from zoedepth.weights.load import save_model
+from zoedepth.weights.save import save_model
 
 StartRun = Callable[..., Run]
 Data = dict[str, Path]

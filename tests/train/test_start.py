@@ -16,7 +16,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import INDOOR, OUTDOOR
 from zoedepth.train.start import start_from
 from zoedepth.weights.layouts import midas
-from zoedepth.weights.load import save_model
+from zoedepth.weights.save import save_model
 
 
 def with_encoder(config: ModelConfig, name: str) -> ModelConfig:

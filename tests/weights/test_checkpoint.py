@@ -18,8 +18,10 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights.checkpoint import LAYOUTS, Checkpoint, Layout, read_checkpoint, write_checkpoint
+from zoedepth.weights.fit import model_of
 from zoedepth.weights.layouts import huggingface_config, original
-from zoedepth.weights.load import checkpoint_of, load_model, model_of
+from zoedepth.weights.load import load_model
+from zoedepth.weights.save import checkpoint_of
 
 KINDS = pytest.mark.parametrize("kind", TINY)
 EVERY = pytest.mark.parametrize("layout", LAYOUTS)

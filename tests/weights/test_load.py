@@ -1,19 +1,15 @@
-"""The one door for models: names, files, folders, ids, and ``ZoeDepth.from_pretrained``."""
+"""The one door for models: names, files, folders and ids."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from tests.baselines import test_pixelbins
-from tests.baselines.base import build as build_baseline
 from tests.servers import FileServer
 
-import zoedepth
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
-from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.load import available_models, find, load_model
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import save_model
@@ -93,33 +89,7 @@ def test_published_model_is_downloaded_once_and_says_how_far_it_is(
     assert (told[0], told[-1]) == (("zoed-m12-n", 0, size), ("zoed-m12-n", size, size))
 
 
-# --- ZoeDepth.from_pretrained -----------------------------------------------------------------------------------------
-
-
-def test_from_pretrained_loads_a_zoedepth(file: Path, tiny_model: ZoeDepth):
-    model = zoedepth.ZoeDepth.from_pretrained(file)
-    assert type(model) is ZoeDepth is zoedepth.ZoeDepth
-    assert model.config == tiny_model.config
-    assert zoedepth.ZoeDepth.from_pretrained("zoed-lite").config == PRESETS["zoed-lite"]
-
-
-def test_from_pretrained_refuses_a_baseline(tmp_path: Path):
-    save_model(build_baseline(test_pixelbins.TINY), tmp_path / "bins.safetensors")
-    with pytest.raises(InputError, match=r"bins.safetensors is one of the baselines.*zoedepth.load_model"):
-        ZoeDepth.from_pretrained(tmp_path / "bins.safetensors")
-
-
-def test_from_pretrained_refuses_an_exported_file(monkeypatch: pytest.MonkeyPatch):
-    class Exported(ExportedModel):
-        def __init__(self) -> None:
-            torch.nn.Module.__init__(self)
-
-        def run(self, inputs: object, *, std: bool) -> dict:
-            raise AssertionError("it is refused before anything is run")
-
-    monkeypatch.setattr("zoedepth.weights.load.load_exported", lambda *_, **__: Exported())
-    with pytest.raises(InputError, match=r"model.onnx is an exported model.*zoedepth.load_model"):
-        ZoeDepth.from_pretrained("model.onnx")
+# --- trainings --------------------------------------------------------------------------------------------------------
 
 
 def test_folder_of_a_training_is_its_newest_checkpoint(tiny_model: ZoeDepth, tmp_path: Path):

@@ -36,7 +36,8 @@ def convert(
     from zoedepth.commands.progress import download_progress
     from zoedepth.presets import with_compat
     from zoedepth.weights.checkpoint import check_target, read_checkpoint, write_checkpoint
-    from zoedepth.weights.load import find, model_of
+    from zoedepth.weights.fit import model_of
+    from zoedepth.weights.load import find
 
     check_target(target, to=to)
     if target.is_file():
@@ -76,8 +77,9 @@ def push(
     from zoedepth.provenance import require_licence
     from zoedepth.weights.card import model_card
     from zoedepth.weights.checkpoint import read_checkpoint
+    from zoedepth.weights.fit import model_of
     from zoedepth.weights.hub import is_hub_id
-    from zoedepth.weights.load import find, model_of
+    from zoedepth.weights.load import find
     from zoedepth.weights.save import push_to_hub
 
     if not is_hub_id(repo):

@@ -235,7 +235,6 @@ def predict(
             _refuse_files_of_others(first, place.destination, wanted)
 
         from zoedepth.commands.progress import download_progress
-        from zoedepth.jobs.ray_engine import run_on_ray
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
@@ -268,6 +267,8 @@ def predict(
                     manifest.begin(settings, named=listing.named, overwrite=overwrite)
                 tell_done = json_ or len(first) == 1
                 if engine == "ray":
+                    from zoedepth.jobs.ray_engine import run_on_ray
+
                     results = run_on_ray(
                         chain(first, inputs),
                         predictor,

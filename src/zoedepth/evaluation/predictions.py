@@ -25,6 +25,7 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
+from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
 from zoedepth.weights.load import find, load_model
 
@@ -90,7 +91,7 @@ class ModelSource:
 
     def __init__(
         self,
-        model: DepthModel,
+        model: DepthModel | ExportedModel,
         *,
         about: Mapping[str, object] | None = None,
         weights: str | None = None,

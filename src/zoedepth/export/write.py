@@ -44,7 +44,7 @@ class ExportError(ZoeDepthError):
 
 
 def export_model(
-    model: DepthModel,
+    model: DepthModel | ExportedModel,
     path: str | Path,
     *,
     to: Format,
@@ -76,6 +76,8 @@ def export_model(
     """
     path = Path(path)
     check_wish(path, to=to, int8=int8, calibrated=bool(photos), size=size)
+    if isinstance(model, ExportedModel):
+        raise InputError("the model is an exported file already: export the model that it was made from")
     _check_model(model, to=to, size=size)
     wrapped = ExportModel(model).eval()
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -163,8 +165,6 @@ def _check_room(model: DepthModel, folder: Path) -> None:
 
 def _check_model(model: DepthModel, *, to: Format, size: tuple[int, int] | None) -> None:
     """Refuse models that cannot be written, see ``export_model``."""
-    if isinstance(model, ExportedModel):
-        raise InputError("the model is an exported file already: export the model that it was made from")
     if model.training:
         raise InputError("the model is in training mode: call model.eval() first")
     config = model.config

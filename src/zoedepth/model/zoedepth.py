@@ -26,7 +26,7 @@ class ZoeDepth(DepthModel):
     """
 
     from_pretrained: ClassVar[Callable[[str | Path], "ZoeDepth"]]
-    """Load a ZoeDepth by name, file, folder or Hugging Face id. ``weights/load.py``, which is above, puts it here."""
+    """Load a ZoeDepth by name, file, folder or Hugging Face id. ``weights/pretrained.py``, above, puts it here."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()

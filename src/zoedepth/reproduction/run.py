@@ -12,15 +12,15 @@ from zoedepth.errors import InputError, TrainingError
 from zoedepth.evaluation.evaluate import evaluate
 from zoedepth.evaluation.evaluation_set import EvaluationSet, open_evaluation_set
 from zoedepth.evaluation.predictions import ModelSource
+from zoedepth.forward.tensors import on_device
 from zoedepth.images import atomic_path
-from zoedepth.predict import Predictor
 from zoedepth.reproduction.units import Training, Unit, data_content
 from zoedepth.stored import to_json
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import train_relative
 from zoedepth.train.state import checkpoints
 from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
-from zoedepth.weights.load import load_model
+from zoedepth.weights.load import load_network
 
 FAILED = "did not converge"
 """Words in a table where a training ended in numbers that are not finite."""
@@ -120,7 +120,7 @@ def run_unit(
             return read_result(out, unit, scored)
         say(f"{training.name}, seed {unit.seed}: scored on {', '.join(scored)}")
         # Known by its training and not by its path: the folder may be moved.
-        network = Predictor(load_model(model), device=device).model
+        network = on_device(load_network(model), device)
         source = ModelSource(network, about={"training": training.id}, weights=weights_fingerprint(model))
         measured = evaluate(
             {"model": source},
@@ -142,7 +142,7 @@ def run_unit(
             }
             for summary in measured.summaries
         }
-        n_parameters = sum(parameter.numel() for parameter in source.model.parameters())
+        n_parameters = sum(parameter.numel() for parameter in network.parameters())
         _write(out, training, scores, n_parameters=n_parameters)
         return read_result(out, unit, scored)
 

@@ -33,7 +33,8 @@ from zoedepth.train.survey import Survey, survey
 from zoedepth.train.tolerant import explained, too_many
 from zoedepth.weights.card import model_card
 from zoedepth.weights.exported import is_exported
-from zoedepth.weights.load import load_model, save_model
+from zoedepth.weights.load import load_network
+from zoedepth.weights.save import save_model
 
 RESULTS = ("model.safetensors", "README.md", "metrics.json", "data.jpg")
 """Files that a fine-tuning writes into its folder."""
@@ -94,7 +95,7 @@ def plan(
     _check_out(out, data)
     if is_exported(init):
         raise InputError(f"{init} is an exported file, which cannot be trained: give what it was exported from")
-    model = load_model(init)
+    model = load_network(init)
     if not isinstance(model, ZoeDepth) or not isinstance(model.config, ModelConfig):
         raise InputError(
             f"{init} is a baseline, which cannot be fine-tuned this way: train it with its recipe (zoedepth train "
@@ -181,7 +182,7 @@ def finetune(
     Raises:
         InputError: ``out`` has the result or the run of other data, options or weights.
     """
-    model = load_model(plan.init)
+    model = load_network(plan.init)
     start = out / INITIAL
     assert isinstance(model, ZoeDepth)  # there is no plan for other models
     assert isinstance(plan.config.model, ModelConfig)
@@ -197,7 +198,7 @@ def finetune(
     last = train_metric(config, data=plan.data, out=out / "run", init=str(start), devices=devices, n_nodes=n_nodes)
     after = {name: _measure(str(last), name, plan, "after") for name in plan.data}
     measured = {name: (before[name], after[name]) for name in plan.data}
-    _write(out, load_model(last), measured)
+    _write(out, load_network(last), measured)
     return measured
 
 
@@ -313,7 +314,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     held_out = Subset(dataset, range(n - plan.config.holdout, n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
-    tested = ModelSource(load_model(model), camera="data" if knows else "none")
+    tested = ModelSource(load_network(model), camera="data" if knows else "none")
     with torch.no_grad():
         results = score_dataset(tested, held_out, protocols)
     return summarise(

@@ -11,7 +11,8 @@ from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.exported import is_exported
-from zoedepth.weights.load import load_model, misfits
+from zoedepth.weights.fit import misfits
+from zoedepth.weights.load import load_network
 
 IMAGENET = "imagenet"
 """Name on the command line of the encoder's ImageNet weights."""
@@ -41,7 +42,7 @@ def start_from(model: DepthModel, source: str | None) -> str:
         return f"ImageNet weights of {model.config.encoder_name}, the rest random"
     if is_exported(source):
         raise InputError(f"{source} is an exported file, which cannot be trained: give what it was exported from")
-    other = load_model(source)
+    other = load_network(source)
     model.provenance = other.provenance
     if _alike(other.config, model.config) and not misfits(model.state_dict(), other.state_dict()):
         model.load_state_dict(other.state_dict())

@@ -20,7 +20,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.interface import DepthModel
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.identity import same_start
-from zoedepth.weights.load import save_model
+from zoedepth.weights.save import save_model
 
 _HARMLESS = frozenset({
     "n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures", "check",

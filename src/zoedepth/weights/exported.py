@@ -1,45 +1,57 @@
-"""Run exported files behind the interface of every model, so that ``Predictor`` takes them like any other."""
+"""Run exported files, which takes no torch: arrays in and out, for ``Predictor``; tensors for programs in torch."""
 
 import math
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, cast
 
 import numpy as np
-import torch
-from jaxtyping import Float, Int
-from torch import Tensor
+from jaxtyping import Float32, Int
 
 from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.errors import InputError, MissingExtraError
-from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
+from zoedepth.threads import thread_count
 from zoedepth.weights.openvino_graph import specialized
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
+
+if TYPE_CHECKING:
+    import torch
+    from jaxtyping import Float
+    from torch import Tensor
+
+    from zoedepth.model.interface import DepthOutput
 
 METADATA = "zoedepth"
 """Key in the file's metadata of a JSON text with config, preprocessing and version."""
 Precision = Literal["float32", "bfloat16"]
 
 
-class ExportedModel(DepthModel):
-    """Model in a file of another runtime. It runs on the CPU, cannot be trained, and has no relative depth."""
+class ExportedModel(ABC):
+    """Model in a file of another runtime. It runs on the CPU, cannot be trained, and has no relative depth.
+
+    It can be called like a ``DepthModel``, and torch is imported then. ``compute`` does the same for arrays.
+
+    Attributes:
+        config: that of the model from which it was exported.
+        provenance: licence and training data of the weights, where they are known.
+    """
 
     def __init__(self, metadata: str | None, path: Path) -> None:
-        super().__init__()
         self.config, self.provenance = _read_metadata(metadata, path)
-        self.eval()
 
     @property
-    def device(self) -> torch.device:
+    def device(self) -> "torch.device":
         """Return the CPU: pixels and depth are there, wherever the runtime computes."""
+        import torch
+
         return torch.device("cpu")
 
-    def relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
+    def relative(self, pixels: Any) -> Any:
         """Refuse: exported files hold metres only.
 
         Raises:
@@ -51,14 +63,37 @@ class ExportedModel(DepthModel):
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name. The standard deviation is left out unless it is wanted."""
 
-    def forward(
+    def compute(
         self,
-        pixels: Float[Tensor, "batch 3 height width"],
+        pixels: Float32[np.ndarray, "batch 3 height width"],
+        domain: Int[np.ndarray, " batch"] | None = None,
         *,
-        domain: Int[Tensor, " batch"] | None = None,
+        std: bool = True,
+    ) -> Exported:
+        """Compute the outputs of a batch as arrays of float32, see ``DepthModel.forward``.
+
+        Args:
+            pixels: RGB in [0, 1]; sides are multiples of ``config.multiple``.
+            domain: index in ``config.domains`` of the head each image takes; None leaves it to the router.
+            std: True to compute the standard deviation, where the file has it.
+
+        Raises:
+            InputError: the runtime cannot compute it.
+        """
+        inputs = {INPUT: np.ascontiguousarray(pixels)}
+        if len(self.config.domains) > 1:
+            inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.astype(np.int64)
+        found = self.run(inputs, std=std)
+        return Exported(*(found[name].astype(np.float32) if name in found else None for name in Exported._fields))
+
+    def __call__(
+        self,
+        pixels: "Float[Tensor, 'batch 3 height width']",
+        *,
+        domain: "Int[Tensor, ' batch'] | None" = None,
         return_std: bool = False,
         return_bins: bool = False,
-    ) -> DepthOutput:
+    ) -> "DepthOutput":
         """Compute the depth of a batch, see ``DepthModel.forward``. Outputs that nobody asks for cost nothing.
 
         Raises:
@@ -66,12 +101,13 @@ class ExportedModel(DepthModel):
         """
         if return_bins:
             raise InputError("an exported model gives no bins: load the model that it was exported from")
-        self.check(pixels, domain)
-        inputs = {INPUT: pixels.float().contiguous().numpy()}
-        if len(self.config.domains) > 1:
-            inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.long().numpy()
-        found = {name: torch.from_numpy(x) for name, x in self.run(inputs, std=return_std).items()}
-        said = Exported(found["predicted_depth"], found.get(STD), found.get("domain_logits"))
+        import torch
+
+        from zoedepth.model.interface import DepthModel, DepthOutput
+
+        DepthModel.check(cast(Any, self), pixels, domain)
+        arrays = self.compute(pixels.float().numpy(), None if domain is None else domain.numpy(), std=return_std)
+        said = Exported(*(None if x is None else torch.from_numpy(x) for x in arrays))
         taken = torch.zeros(len(pixels), dtype=torch.long)
         if said.domain_logits is not None:
             taken = said.domain_logits.argmax(dim=1) if domain is None else domain.long()
@@ -246,7 +282,7 @@ def load_exported(
     Args:
         path: .onnx file, or OpenVINO's .xml with its .bin beside it.
         precision: number type that OpenVINO computes in; ONNX Runtime always uses the file's.
-        threads: processor threads of each forward; None: as many as torch uses.
+        threads: processor threads of each forward; None: as many as torch uses or, where it is not imported, would.
         streams: number of forwards that will run at the same time (OpenVINO).
 
     Raises:
@@ -256,7 +292,7 @@ def load_exported(
     path = Path(path)
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    threads = threads or torch.get_num_threads()
+    threads = threads or thread_count()
     if path.suffix.lower() == ".onnx":
         return OnnxModel(path, threads=threads)
     if path.suffix.lower() == ".xml":

@@ -3,30 +3,18 @@
 import os
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from zoedepth.download import Progress, download
 from zoedepth.errors import InputError, similar
-from zoedepth.model.interface import DepthModel
-from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.moved import moved_name
 from zoedepth.presets import PRESETS
-from zoedepth.weights.checkpoint import read_checkpoint
-from zoedepth.weights.exported import Precision, is_exported, load_exported
-from zoedepth.weights.fit import misfits, model_of
+from zoedepth.weights.exported import ExportedModel, Precision, is_exported, load_exported
 from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
 from zoedepth.weights.releases import RELEASES
-from zoedepth.weights.save import checkpoint_of, push_to_hub, save_model
 
-__all__ = [
-    "ZoeDepth",
-    "available_models",
-    "checkpoint_of",
-    "find",
-    "load_model",
-    "misfits",
-    "model_of",
-    "push_to_hub",
-    "save_model",
-]
+if TYPE_CHECKING:
+    from zoedepth.model.interface import DepthModel
 
 
 def available_models() -> list[str]:
@@ -44,8 +32,8 @@ def load_model(
     precision: Precision = "float32",
     streams: int = 1,
     progress: Progress | None = None,
-) -> DepthModel:
-    """Load a model with its weights, in evaluation mode, float32, on the CPU.
+) -> "DepthModel | ExportedModel":
+    """Load a model with its weights, in evaluation mode, float32, on the CPU. Exported files are loaded without torch.
 
     Args:
         name_or_path: one of these:
@@ -73,28 +61,22 @@ def load_model(
                 f"{name_or_path} is an exported model with its behaviours built in: give --compat to zoedepth export"
             )
         return load_exported(name_or_path, precision=precision, streams=streams)
-    path = find(name_or_path, progress=progress)
-    return model_of(read_checkpoint(path), source=path, compat=compat)
+    return load_network(name_or_path, compat=compat, progress=progress)
 
 
-def load_zoedepth(name_or_path: str | Path) -> ZoeDepth:
-    """Load a ZoeDepth. This is ``ZoeDepth.from_pretrained``; ``load_model`` loads every kind of model.
-
-    Args:
-        name_or_path: see ``load_model``.
+def load_network(
+    name_or_path: str | Path, *, compat: Iterable[str] = (), progress: Progress | None = None
+) -> "DepthModel":
+    """Load a model in torch, as ``load_model`` does: one that can be trained. Exported files are none.
 
     Raises:
-        InputError: see ``load_model``; or the model is an exported file or one of the baselines.
+        InputError: see ``load_model``.
     """
-    model = load_model(name_or_path)
-    if not isinstance(model, ZoeDepth):
-        kind = "an exported model" if is_exported(name_or_path) else "one of the baselines"
-        raise InputError(f"{name_or_path} is {kind}, not a ZoeDepth: load it with zoedepth.load_model")
-    return model
+    path = find(name_or_path, progress=progress)
+    from zoedepth.weights.checkpoint import read_checkpoint
+    from zoedepth.weights.fit import model_of
 
-
-# Set here, because model/ imports nothing that is above it. ``from zoedepth import ZoeDepth`` comes by this module.
-ZoeDepth.from_pretrained = staticmethod(load_zoedepth)
+    return model_of(read_checkpoint(path), source=path, compat=compat)
 
 
 def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
@@ -141,3 +123,7 @@ def _newest_checkpoint(folder: Path) -> Path | None:
     steps = [path.parent for path in (*folder.glob(f"step_*/{WEIGHTS}"), *folder.glob(f"run/step_*/{WEIGHTS}"))]
     numbered = [(int(number), path) for path in steps if (number := path.name.removeprefix("step_")).isdecimal()]
     return max(numbered)[1] if numbered else None
+
+
+def __getattr__(name: str) -> object:
+    return moved_name(__name__, name)

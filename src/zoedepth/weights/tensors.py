@@ -1,9 +1,8 @@
 """Names of the inputs and outputs of an exported model."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxtyping import Float
-from torch import Tensor
 
 INPUT = "pixel_values"
 """RGB in [0, 1], float32 (batch, 3, height, width); normalised inside."""
@@ -15,11 +14,11 @@ STD = "std"
 
 
 class Exported(NamedTuple):
-    """Outputs of an exported model, under these names. A model leaves out those it does not have."""
+    """Outputs of an exported model, under these names: tensors or arrays. A model leaves out those it does not have."""
 
-    predicted_depth: Float[Tensor, "batch height width"]
+    predicted_depth: Float[Any, "batch height width"]
     """Metres."""
-    std: Float[Tensor, "batch height width"] | None
+    std: Float[Any, "batch height width"] | None
     """Metres: standard deviation of the distribution whose mean is the depth."""
-    domain_logits: Float[Tensor, "batch domains"] | None
+    domain_logits: Float[Any, "batch domains"] | None
     """The router's scores."""

@@ -18,8 +18,9 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS, in_training_cameras
 from zoedepth.weights.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from zoedepth.weights.fit import model_of
 from zoedepth.weights.layouts import huggingface
-from zoedepth.weights.load import load_model, model_of
+from zoedepth.weights.load import load_model
 
 KINDS = pytest.mark.parametrize(
     ("heads", "centers"),

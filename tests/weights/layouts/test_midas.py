@@ -9,8 +9,9 @@ from tests.weights.layouts.layouts import released, same, tiny
 
 from zoedepth.errors import InputError
 from zoedepth.weights.checkpoint import read_checkpoint
+from zoedepth.weights.fit import model_of
 from zoedepth.weights.layouts import midas, original
-from zoedepth.weights.load import load_model, model_of
+from zoedepth.weights.load import load_model
 
 
 def cut(weights: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

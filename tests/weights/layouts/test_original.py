@@ -13,8 +13,9 @@ from zoedepth.errors import InputError
 from zoedepth.model.beit import relative_position_index
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
+from zoedepth.weights.fit import model_of
 from zoedepth.weights.layouts import original
-from zoedepth.weights.load import checkpoint_of, model_of
+from zoedepth.weights.save import checkpoint_of
 
 KINDS = pytest.mark.parametrize("kind", ["n", "k", "nk"])
 MODEL = "core.core.pretrained.model"
