@@ -63,3 +63,29 @@ def test_members_of_compressed_tar_files_are_refused(tmp_path: Path, tiny_model:
         archive.add(tmp_path / "a.png", "a.png")
     with pytest.raises(InputError, match=r"unpack it to \.tar"):
         on_ray(Sources((str(tmp_path / "a.tar.gz"),)), tmp_path / "out", Predictor(tiny_model))
+
+
+@pytest.mark.parametrize("n_failures", [2, 3])
+def test_a_ray_of_a_busy_machine_is_started_again(
+    tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch, n_failures: int
+) -> None:
+    ray = pytest.importorskip("ray", reason="the extra [ray] is not installed")
+    started: list[int] = []
+
+    class Started(BaseException):
+        pass
+
+    def start(*_: object, **__: object) -> None:
+        started.append(1)
+        if len(started) > n_failures:
+            raise Started
+        raise Exception("The current node timed out during startup")
+
+    monkeypatch.setattr(ray, "init", start)
+    write_photo(tmp_path / "a.png")
+    expected = (
+        pytest.raises(Started) if n_failures < 3 else pytest.raises(InputError, match=r"Ray does not start .*timed out")
+    )
+    with expected:
+        on_ray(Sources((str(tmp_path / "a.png"),)), tmp_path / "out", Predictor(tiny_model))
+    assert len(started) == 3

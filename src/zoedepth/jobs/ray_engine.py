@@ -7,7 +7,7 @@ which this process alone writes: a photo that two machines have done, because on
 import logging
 import os
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -26,6 +26,9 @@ from zoedepth.weights.load import load_model
 
 _BLOCK, _FIRST_BLOCKS, _LARGE_BLOCK = 8, 10_000, 64
 """Inputs that an actor gets together: few, so that little is lost with it; more where there are very many."""
+
+_STARTS = 3
+"""Times that a Ray of this machine is started, where it does not come up."""
 
 _QUIET = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -186,16 +189,32 @@ def _start(address: str | None, workers: int | None) -> None:
 
     quiet = {"log_to_driver": False, "logging_level": logging.ERROR}
     where = address or os.environ.get("RAY_ADDRESS") or "local"
-    try:
-        if where == "local":
-            ray.init("local", num_cpus=workers, include_dashboard=False, **quiet)
-        else:
+    if where == "local":
+        _start_here(lambda: ray.init("local", num_cpus=workers, include_dashboard=False, **quiet))
+    else:
+        try:
             ray.init(where, **quiet)
-    except (ConnectionError, RuntimeError, ValueError) as error:
-        raise InputError(f"--address {where}: no Ray cluster answers there ({error})") from error
+        except (ConnectionError, RuntimeError, ValueError) as error:
+            raise InputError(f"--address {where}: no Ray cluster answers there ({error})") from error
     context = ray.data.DataContext.get_current()
     context.enable_progress_bars = False
     context.print_on_execution_start = False
+
+
+def _start_here(start: Callable[[], object]) -> None:
+    """Start a Ray of this machine, again where it is too busy for the 30 seconds that Ray gives itself."""
+    import ray
+
+    for left in reversed(range(_STARTS)):
+        try:
+            start()
+            return
+        except Exception as error:  # Ray has no class of its own for this one
+            ray.shutdown()
+            if not left:
+                raise InputError(
+                    f"Ray does not start on this machine ({error}): leave --engine ray out, or try when it is less busy"
+                ) from error
 
 
 def _recipe(predictor: Predictor, model: str, device: str) -> Recipe:
