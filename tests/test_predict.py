@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from zoedepth.config import INDOOR, OUTDOOR, ModelConfig, NaiveConfig, RouterConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
+from zoedepth.forward.tensors import TensorForward
 from zoedepth.geometry.camera import Camera, Intrinsics
 from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
@@ -132,7 +133,7 @@ def test_batch_equals_singles(
 ) -> None:
     """Together, as on an accelerator, and one by one, as on the CPU."""
     if together:
-        monkeypatch.setattr(Predictor, "_one_by_one", False)
+        monkeypatch.setattr(TensorForward, "_one_by_one", False)
     sizes = [(50, 70), (51, 70), (70, 50), (50, 70), (30, 90), (50, 71), (1, 1)]
     photos = [smooth(size, seed) for seed, size in enumerate(sizes)]
     predictor = Predictor(tiny_model)
@@ -446,7 +447,7 @@ def test_a_camera_for_each_photo_or_one_for_all(tmp_path: Path, monkeypatch: pyt
     photos = [path, path, smooth((64, 96)), smooth((50, 70))]
     cameras = [Lens(fov_x=50), None, None, Intrinsics(70.0, 71.0, 30.0, 20.0)]
     for together in (False, True):
-        monkeypatch.setattr(Predictor, "_one_by_one", not together)
+        monkeypatch.setattr(TensorForward, "_one_by_one", not together)
         predictor = Predictor(Brightness(focal_px=FOCAL_PX, canonical=True))
         results = predictor.batch(photos, camera=cameras, batch_size=3)
         assert [result.camera.source for result in results] == ["given", "exif", "assumed", "given"]
