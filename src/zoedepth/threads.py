@@ -1,4 +1,4 @@
-"""How many threads a forward computes with: torch's number, or, where torch is not imported, what it would take.
+"""The number of threads of a forward: torch's, or, where torch is not imported, the one that it would take.
 
 An exported model needs no torch, which takes seconds to import, and shall use the same threads.
 """

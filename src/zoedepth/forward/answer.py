@@ -1,4 +1,4 @@
-"""What a network says of a photo."""
+"""The answer of a network about a photo."""
 
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -10,7 +10,7 @@ Photos = Sequence[tuple[ImageArray, tuple[int, int]]]
 
 
 class Answer(NamedTuple):
-    """What a network says of a photo, at the photo's size."""
+    """The answer of a network about a photo, at the photo's size."""
 
     depth: DepthArray
     """Metres. Bicubic upsampling may overshoot at edges, to below zero for near things."""

@@ -37,7 +37,7 @@ class ExportedModel(ABC):
     It can be called like a ``DepthModel``, and torch is imported then. ``compute`` does the same for arrays.
 
     Attributes:
-        config: that of the model from which it was exported.
+        config: the config of the model from which it was exported.
         provenance: licence and training data of the weights, where they are known.
     """
 
