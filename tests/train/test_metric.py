@@ -1,6 +1,7 @@
 """Stage 2: it learns, it is reproducible, and an interrupted run goes on as if nothing had happened."""
 
 import dataclasses
+import math
 import shutil
 import signal
 from collections.abc import Callable
@@ -124,8 +125,9 @@ def test_terms_of_edges_and_of_doubt_are_weighed_and_leave_scattered_depth_out()
     # Of 16 pixels 4 have a neighbour to the right that is farther by ln 2. At the second stride the 4 pixels are two
     # pairs off by ln 2; beyond that nothing has a neighbour. The lidar's image does not count.
     assert terms["log_gradient"].item() == pytest.approx(2 * 0.693147 * (4 / 16 + 2 / 4), rel=1e-5)
-    # Half of the pixels are right, the others off by 1 m, with s = 1 m. s / d is 1/2 everywhere.
-    assert terms["spread"].item() == pytest.approx(3 * (-0.693147 + 0.5), rel=1e-5)
+    # Half of the pixels are right, the others off by 1 m at 2 m. s / d is 1/2 everywhere, and the floor of 0.02.
+    ratio = math.hypot(0.5, 0.02)
+    assert terms["spread"].item() == pytest.approx(3 * (math.log(ratio) + 0.5 / (2 * ratio)), rel=1e-5)
     assert set(metric_losses(output._replace(std=None), batch, config, sources)) == {"silog", "log_gradient"}
 
 

@@ -267,8 +267,8 @@ def mri_cell(
 
     Args:
         mean: ``mri_datasets`` or ``mri_metrics``.
-        mine: the scores of which it is.
-        reference: those that they are compared with. Where one of the two has none, it was not run.
+        mine: the scores of which it is; None where this was not run.
+        reference: the scores that they are compared with; None where this was not run.
     """
     if not mine or not reference:
         return NOT_RUN
