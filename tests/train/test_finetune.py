@@ -142,7 +142,7 @@ def test_models_that_cannot_be_fine_tuned_are_errors(
     save_model(ZoeDepth(dataclasses.replace(tiny_config, domains=())), tmp_path / "relative.safetensors")
     with pytest.raises(InputError, match=r"relative\.safetensors gives relative depth only"):
         planned({"rooms": rooms}, init=str(tmp_path / "relative.safetensors"))
-    monkeypatch.setattr(module, "load_model", lambda name: nn.Module())
+    monkeypatch.setattr(module, "load_network", lambda name: nn.Module())
     with pytest.raises(InputError, match="bts-n is a baseline"):
         planned({"rooms": rooms}, init="bts-n")
 
