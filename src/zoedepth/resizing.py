@@ -17,8 +17,9 @@ def to_pixels(
 ) -> Float32[np.ndarray, "3 height width"]:
     """Resize a photo to what a network takes, in [0, 1]; see ``pixels.resize_pixels``."""
     if antialias:
+        height, width = size
         channels = [
-            np.asarray(Image.fromarray(channel).convert("F").resize(size[::-1], Image.Resampling.BILINEAR))
+            np.asarray(Image.fromarray(channel).convert("F").resize((width, height), Image.Resampling.BILINEAR))
             for channel in np.moveaxis(image, 2, 0)
         ]
         return (np.stack(channels) / np.float32(255)).clip(0, 1)
