@@ -30,7 +30,7 @@ from zoedepth.model.heads import HEADS
 from zoedepth.model.heads.output import HeadOutput
 from zoedepth.model.interface import DepthOutput
 from zoedepth.model.upsample import upsample
-from zoedepth.presets import BASELINES, ZOED_LITE
+from zoedepth.presets import BASELINES, MINIATURE
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.metric import metric_losses
 
@@ -144,7 +144,7 @@ def _trained(network: Callable[..., DepthOutput], inputs: Tensor | DecoderFeatur
     target = torch.linspace(1, 9, output.depth.numel()).view_as(output.depth)
     mask, none = torch.ones_like(target, dtype=torch.bool), torch.zeros(len(target), dtype=torch.long)
     batch = Batch(target, target, mask, none, none, ["random"] * len(target), "depth")
-    config = TrainConfig("metric", replace(ZOED_LITE, domains=(INDOOR,)), (), steps=1)
+    config = TrainConfig("metric", replace(MINIATURE, domains=(INDOOR,)), (), steps=1)
     torch.stack(list(metric_losses(output, batch, config, ()).values())).sum().backward()
 
 

@@ -28,7 +28,7 @@ class SigmoidHead(nn.Module):
 
 
 HEADS[SigmoidConfig] = HeadParts(shared=PassThrough, domain=SigmoidHead)
-model = build_model(replace(presets.ZOED_LITE, head=SigmoidConfig(), domains=(INDOOR,)))
+model = build_model(replace(presets.MINIATURE, head=SigmoidConfig(), domains=(INDOOR,)))
 rooms = open_dataset("synthetic:rooms?n=2&size=96x128")
 batch = collate([rooms[i] for i in range(2)], domains=("indoor",))
 optimizer = torch.optim.AdamW(model.parameters(), lr=1e-3)

@@ -45,7 +45,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Image.fromarray(depth).save(folder / name / "depth" / "0001.png")
         for split in ("train", "test"):
             (folder / name / f"{split}.csv").write_text(
-                "image,depth,depth_scale,domain\n" + 2 * f"image/0001.jpg,depth/0001.png,1000,{domain}\n"
+                "image,depth,depth_scale,domain,fx,fy,cx,cy\n"
+                + 2 * f"image/0001.jpg,depth/0001.png,1000,{domain},130,130,79.5,59.5\n"
             )
     # The released weights cannot be had here: a small random model in their file's layout.
     small = twin(twin_config(heads=(NYU, KITTI)))

@@ -79,10 +79,10 @@ class DepthMap:
     def confidence(self) -> DepthArray | None:
         """1 / (1 + std / depth), in (0, 1]: how narrow the model's distribution over depth is.
 
-        **Do not take it for how right the depth is.** Nothing in the training ties the spread of the bins to the error,
-        so it is no probability, and need not even rank pixels: those of zoed-lite with a higher confidence are often
-        the worse ones. ``zoedepth evaluate`` measures it for your model and photos (AUSE: 0 is a perfect ranking, 1 is
-        none). None where the model has no distribution over depth.
+        It says how right the depth is only where a training tied the spread of the bins to the error
+        (``TrainConfig.spread_weight``), as that of zoed-lite did, and is no probability. The released models were
+        trained without; pixels of a higher confidence may be the worse ones. ``zoedepth evaluate`` measures it for your
+        model and photos (AUSE: 0 is a perfect ranking, 1 is none). None where the model has no distribution over depth.
         """
         return self.maps.confidence
 

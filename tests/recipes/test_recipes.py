@@ -1,13 +1,12 @@
 """Every recipe builds, trains a model that has a name, and is like one that takes a step in the tests beside this."""
 
 import json
-from dataclasses import replace
 
 import pytest
 from tests.recipes.training import TRAINED, aspects
 
 from zoedepth.config import BaselineConfig, from_dict, to_dict
-from zoedepth.presets import BASELINES, PRESETS
+from zoedepth.presets import BASELINES, MINIATURE, PRESETS
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import TrainConfig
 
@@ -19,10 +18,9 @@ def test_recipe_trains_a_preset_and_is_the_same_every_time(name: str) -> None:
     if isinstance(model, BaselineConfig):
         kinds = {type(preset.network) for preset in BASELINES.values()}
         assert model in BASELINES.values() or (name.startswith("comparison_") and type(model.network) in kinds)
-    else:  # at whatever size, with whatever upsampling, head, router and domains
-        alike = [preset for preset in PRESETS.values() if preset.encoder == model.encoder]
-        decoder = replace(model.decoder, upsampling="bilinear")
-        assert (decoder, model.antialias, model.pad) in [(p.decoder, p.antialias, p.pad) for p in alike]
+    else:  # at whatever size, with whatever head, router and domains
+        alike = [preset for preset in (*PRESETS.values(), MINIATURE) if preset.encoder == model.encoder]
+        assert (model.decoder, model.antialias, model.pad) in [(p.decoder, p.antialias, p.pad) for p in alike]
     assert RECIPES[name]() == config
     names = [source.name for source in config.sources]
     assert len(names) == len(set(names)) > 0

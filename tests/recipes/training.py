@@ -24,7 +24,7 @@ from zoedepth.train.relative import train_relative
 from zoedepth.weights.load import load_model
 
 TRAINED = {
-    "zoed_lite": ("zoed_lite_relative", "zoed_lite", "zoed_lite_canonical"),
+    "zoed_lite": ("zoed_lite_relative", "zoed_lite"),
     "demo": ("demo_relative", "demo"),
     "relative": ("relative_m12", "relative_n"),
     "metric": (

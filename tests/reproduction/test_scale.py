@@ -3,7 +3,7 @@
 import pytest
 
 from zoedepth.config import BaselineConfig, ModelConfig
-from zoedepth.presets import ZOED_LITE
+from zoedepth.presets import MINIATURE
 from zoedepth.reproduction.scale import FULL, SMALL, Scale
 from zoedepth.reproduction.tables import TABLES, rows_of
 
@@ -47,5 +47,5 @@ def test_small_rows_keep_what_is_compared_and_have_one_encoder_and_decoder(name:
             continue
         assert isinstance(paper.model, ModelConfig)
         assert (small.model.head, small.model.router) == (paper.model.head, paper.model.router)
-        assert small.model.decoder == ZOED_LITE.decoder
+        assert small.model.decoder == MINIATURE.decoder
         assert small.model.encoder.name == (row.encoder or "tf_efficientnet_lite0")

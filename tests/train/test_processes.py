@@ -31,8 +31,8 @@ RELATIVE = [
 
 
 def test_two_processes_give_the_curve_of_one(tmp_path: Path) -> None:
-    write_pairs(tmp_path / "indoor", n=6)
-    write_pairs(tmp_path / "outdoor", n=4, domain="outdoor")
+    write_pairs(tmp_path / "indoor", n=6, focal_px=(60.0,) * 6)
+    write_pairs(tmp_path / "outdoor", n=4, domain="outdoor", focal_px=(60.0,) * 4)
     write_disparity_pairs(tmp_path / "relative", n=3)
 
     def both_stages(out: str) -> Iterator[list[str]]:

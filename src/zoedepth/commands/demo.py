@@ -1,6 +1,5 @@
 """``zoedepth demo``: predict real photographs, one of them with measured depth."""
 
-import math
 import os
 from pathlib import Path
 from types import ModuleType
@@ -14,6 +13,7 @@ from rich.table import Table
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.folders import check_writable
+from zoedepth.geometry.camera import Camera
 from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
 from zoedepth.outputs.html import write_page_of_maps
@@ -33,9 +33,6 @@ BASELINE = 0.193001
 """Metres."""
 PRINCIPAL_POINT_SHIFT_PX = 31.086
 """Column of the right camera's principal point minus the left's, added to each disparity."""
-
-NYU_FOCAL_PX, NYU_WIDTH = 518.86, 640
-"""The camera of NYU Depth v2, from which indoor models learn metres."""
 
 
 def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), model: str = "zoed-lite") -> int:
@@ -62,7 +59,9 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
         predictor = Predictor(load_model(model, progress=progress), device="auto")
     results = {}
     for name, photo in photos.items():
-        result = results[name] = predictor(photo)
+        # The motorcycle's camera is known; the notes of the others are lost.
+        camera = Camera.from_focal(FOCAL_PX, (photo.shape[0], photo.shape[1])) if name == "motorcycle" else None
+        result = results[name] = predictor(photo, camera=camera)
         for ending in ENDINGS:
             result.save(out / f"{name}{ending}")
         near, far = np.percentile(result.depth, (1, 99))
@@ -70,7 +69,7 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
 
     motorcycle = results["motorcycle"]
     console.print(_error_table(motorcycle.depth, truth))
-    console.print(_focal_note(motorcycle.size[1]), soft_wrap=True)
+    console.print(_focal_note(motorcycle), soft_wrap=True)
     write_image(out / SHEET, _contact_sheet(results, truth))
     write_page_of_maps(out / PAGE, results["coffee"].maps, title="coffee", most=100_000)
     console.print(
@@ -127,14 +126,12 @@ def _error_table(depth: DepthArray, truth: DepthArray) -> Table:
     return table
 
 
-def _focal_note(width: int) -> str:
-    view = 2 * math.degrees(math.atan(width / 2 / FOCAL_PX))
-    nyu_view = 2 * math.degrees(math.atan(NYU_WIDTH / 2 / NYU_FOCAL_PX))
-    factor = (FOCAL_PX / width) / (NYU_FOCAL_PX / NYU_WIDTH)
-    return (
-        f"The model does not know the focal length. This photo spans {view:.0f} degrees and NYU's {nyu_view:.0f}, "
-        f"so its scale can be wrong by a factor of {factor:.1f}. The second row judges the shape without the scale."
-    )
+def _focal_note(motorcycle: "DepthMap") -> str:
+    given = f"The camera of the motorcycle is known, and was given: it spans {motorcycle.camera.fov_x:.0f} degrees"
+    second = "The second row judges the shape without the scale."
+    if motorcycle.focal_correction == 1:
+        return f"{given}. This model does not correct depth for it. {second}"
+    return f"{given}, and the model's depth was multiplied by {motorcycle.focal_correction:.2f} for it. {second}"
 
 
 def _contact_sheet(results: dict[str, "DepthMap"], truth: DepthArray) -> ImageArray:

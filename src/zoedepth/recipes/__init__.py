@@ -16,9 +16,8 @@ def _named(build: Callable[[str], TrainConfig], *presets: str) -> dict[str, Call
 
 RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "zoed_lite_relative": zoed_lite.relative,
+    "zoed_lite_small": zoed_lite.small_metric,
     "zoed_lite": zoed_lite.metric,
-    "zoed_lite_canonical_relative": zoed_lite.canonical_relative,
-    "zoed_lite_canonical": zoed_lite.canonical_metric,
     "demo_relative": demo.relative,
     "demo": demo.metric,
     # Stage 1.

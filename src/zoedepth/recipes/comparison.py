@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 
 from zoedepth.config import INDOOR, BaselineConfig, LocalBinsNetworkConfig
-from zoedepth.presets import BASELINES, ZOED_LITE
+from zoedepth.presets import BASELINES, MINIATURE
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
 SIZE = (160, 224)
@@ -21,7 +21,7 @@ def head() -> TrainConfig:
     """Return the recipe of a head on the DPT decoder of ``zoed-lite``: the head of ``--head``, or else its own."""
     return TrainConfig(
         stage="metric",
-        model=replace(ZOED_LITE, domains=(INDOOR,), size=SIZE),
+        model=replace(MINIATURE, domains=(INDOOR,), size=SIZE),
         sources=(SourceConfig("nyu", crop="fit", rotate_degrees=2.0, color_probability=0.8),),
         steps=100,
         batch_size=8,
@@ -39,7 +39,7 @@ def baseline(name: str) -> TrainConfig:
     """
     preset = BASELINES[f"{name}-n"]
     size = (SIZE[0] + 1, SIZE[1] + 1) if name == "dorn" else SIZE
-    network = replace(preset.network, encoder=ZOED_LITE.encoder.name)
+    network = replace(preset.network, encoder=MINIATURE.encoder.name)
     if isinstance(network, LocalBinsNetworkConfig):
         network = replace(network, n_windows=20)
     return replace(head(), model=BaselineConfig(network, domains=(INDOOR,), size=size, antialias=True))

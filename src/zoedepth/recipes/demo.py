@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from zoedepth.presets import ZOED_LITE, with_focal_of_size
+from zoedepth.presets import MINIATURE, with_focal_of_size
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 
-_MODEL = with_focal_of_size(replace(ZOED_LITE, size=(96, 128)), ZOED_LITE)
+_MODEL = with_focal_of_size(replace(MINIATURE, size=(96, 128)), MINIATURE)
 _SCENES = SourceConfig("scenes", crop="fit", max_zoom=1.2, rotate_degrees=2.0)
 _OPTIM = OptimConfig(learning_rate=1e-3, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0)
 

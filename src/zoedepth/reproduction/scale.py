@@ -12,7 +12,7 @@ from zoedepth.config import (
     ModelConfig,
     RouterConfig,
 )
-from zoedepth.presets import PRESETS, ZOED_LITE, with_encoder, with_focal_of_size
+from zoedepth.presets import MINIATURE, PRESETS, with_encoder, with_focal_of_size
 from zoedepth.recipes import RECIPES
 from zoedepth.reproduction.tables import BaseName, Row
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
@@ -70,7 +70,7 @@ def small(row: Row) -> TrainConfig:
     config = row.config()
     twin = replace(
         config,
-        model=_small_model(config.model, row.encoder or ZOED_LITE.encoder.name),
+        model=_small_model(config.model, row.encoder or MINIATURE.encoder.name),
         sources=tuple(
             replace(source, crop="fit", window=None, rotate_degrees=1.0, color_probability=0.8)
             for source in config.sources
@@ -139,10 +139,10 @@ def _small_model(model: AnyModelConfig, encoder: str) -> AnyModelConfig:
         size = (SIZE[0] + 1, SIZE[1] + 1) if model.one_size else SIZE
         return replace(model, network=network, size=size, antialias=True)
     small = replace(
-        model, encoder=_encoder(encoder), decoder=ZOED_LITE.decoder, size=SIZE, antialias=True, pad=False
+        model, encoder=_encoder(encoder), decoder=MINIATURE.decoder, size=SIZE, antialias=True, pad=False
     )  # fmt: skip
     return with_focal_of_size(small, model)
 
 
 def _encoder(name: str) -> EncoderConfig:
-    return with_encoder(ZOED_LITE, name).encoder
+    return with_encoder(MINIATURE, name).encoder

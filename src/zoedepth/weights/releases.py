@@ -62,13 +62,14 @@ RELEASES: dict[str, Release] = {
         "zoed-lite.safetensors",
         "10.6 MB",
         "non-commercial research",
-        "NYU Depth v2 (795 pairs, for research) and KITTI (110 pairs, CC BY-NC-SA 3.0), with 67 of relative depth",
+        "NYU Depth v2 (795 pairs, for research), KITTI (110 pairs, CC BY-NC-SA 3.0), 4,000 rendered scenes, with 67 of "
+        "relative depth",
         measured={
-            "NYU Depth v2, 654 test pairs": _measured(0.179, 0.589, 0.072, 0.742, 0.943, 0.986),
-            "KITTI 2015, 38 pairs": _measured(0.123, 5.111, 0.054, 0.833, 0.953, 0.988),
-            "KITTI raw, one drive, 26 pairs": _measured(0.219, 5.590, 0.091, 0.697, 0.881, 0.949),
-            "7-Scenes, red kitchen, 40 pairs": _measured(0.205, 0.471, 0.090, 0.621, 0.913, 0.984),
-            "Replica, one flat, 41 pairs": _measured(0.614, 0.964, 0.189, 0.278, 0.571, 0.798),
+            "NYU Depth v2, 654 test pairs": _measured(0.172, 0.572, 0.071, 0.755, 0.942, 0.985),
+            "KITTI 2015, 38 pairs": _measured(0.103, 4.205, 0.046, 0.878, 0.977, 0.994),
+            "KITTI raw, one drive, 26 pairs": _measured(0.176, 5.434, 0.080, 0.746, 0.929, 0.960),
+            "7-Scenes, red kitchen, 40 pairs": _measured(0.291, 0.544, 0.107, 0.527, 0.850, 0.977),
+            "Replica, one flat, 41 pairs": _measured(0.259, 0.631, 0.114, 0.549, 0.823, 0.932),
         },
     ),
     "zoed-m12-n": Release(
