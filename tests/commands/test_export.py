@@ -10,6 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from PIL import Image
+from skimage import data
 from tests.export.models import traced_once
 
 import zoedepth.export.write
@@ -34,11 +35,9 @@ def test_the_command_line_writes_and_reads_exported_files(
     lite_onnx: Path, tmp_path: Path, capsys: pytest.CaptureFixture
 ):
     """In float32 for ONNX Runtime, and in 8 bits, calibrated on two photos, for OpenVINO."""
-    generator = np.random.default_rng(0)
     (tmp_path / "photos").mkdir()
-    for name in ("photo.png", "other.png"):
-        coarse = generator.integers(0, 256, (6, 8, 3), dtype=np.uint8)
-        Image.fromarray(coarse).resize((352, 256)).save(tmp_path / "photos" / name)
+    for name, pixels in (("photo.png", data.coffee()), ("other.png", data.stereo_motorcycle()[0])):
+        Image.fromarray(pixels).resize((352, 256)).save(tmp_path / "photos" / name)
     photo, depth, xml = str(tmp_path / "photos/photo.png"), {}, str(tmp_path / "lite.xml")
     int8 = ["--int8", "--calibrate", str(tmp_path / "photos"), "--json"]
     with traced_once(lite_onnx.with_name("graph.onnx")):
