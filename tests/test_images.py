@@ -333,9 +333,8 @@ class TestWarnings:
             options = {"tiffinfo": {700: notes.encode()}}
         path = saved(Image.fromarray(large(photo)), tmp_path / f"sphere{suffix}", **options)
         if "xmp" not in Image.open(path).info:
-            pytest.skip(
-                "this Pillow does not hand out such notes"
-            )  # 10.3: for WebP only; the warning is a help, no promise
+            # Pillow 10.3 has them of WebP alone. The warning is a help and no promise.
+            pytest.skip("this Pillow does not hand out such notes")
         with pytest.warns(InputWarning, match=rf"sphere\{suffix} is a panorama"):
             read_image(path)
 
