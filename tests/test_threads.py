@@ -1,12 +1,14 @@
 """Threads of a forward, where torch is imported, where it is not, and where it is imported in between."""
 
+import platform
 import subprocess
 import sys
 
 import pytest
 import torch
 
-from zoedepth.threads import thread_count, threads
+from zoedepth import threads as module
+from zoedepth.threads import has_accelerator, thread_count, threads
 
 
 def printed(code: str, **environment: str) -> list[str]:
@@ -40,3 +42,29 @@ with threads(1):
 print(torch.get_num_threads(), thread_count(), os.environ.get("OMP_NUM_THREADS"))
 """
     assert printed(code, OMP_NUM_THREADS="2") == ["1", "1", "2", "2", "2"]
+
+
+@pytest.mark.parametrize(
+    ("system", "machine", "library", "drivers", "expected"),
+    [
+        ("linux", "x86_64", None, ("no such file",), False),
+        ("linux", "x86_64", None, ("no such file", __file__), True),
+        ("darwin", "arm64", None, (), True),
+        ("darwin", "x86_64", None, (__file__,), False),
+        ("win32", "AMD64", "nvcuda.dll", (), True),
+        ("win32", "AMD64", None, (__file__,), False),
+    ],
+)
+def test_accelerators_are_known_by_their_drivers(
+    system: str,
+    machine: str,
+    library: str | None,
+    drivers: tuple[str, ...],
+    expected: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "platform", system)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(module, "find_library", lambda name: library if name == "nvcuda" else None)
+    monkeypatch.setattr(module, "_DRIVERS", drivers)
+    assert has_accelerator() == expected

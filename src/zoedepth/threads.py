@@ -4,17 +4,33 @@ An exported model needs no torch, which takes seconds to import, and shall use t
 """
 
 import os
+import platform
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from ctypes.util import find_library
 
 _VARIABLE = "OMP_NUM_THREADS"
 """Variable of the environment that torch reads once, when it is imported."""
+_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
+"""Files of Linux where there is a driver: NVIDIA's, AMD's, and that of either under Windows."""
 
 
 def cpu_count() -> int:
     """Return the number of cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def has_accelerator() -> bool:
+    """Return True if there are signs of a device that torch may prefer to the processor. It need not be usable.
+
+    These are drivers of NVIDIA and AMD, and Apple's processors. Asking torch itself would take seconds.
+    """
+    if sys.platform == "darwin":
+        return platform.machine() == "arm64"
+    if sys.platform == "win32":
+        return find_library("nvcuda") is not None
+    return any(os.path.exists(driver) for driver in _DRIVERS)
 
 
 def thread_count() -> int:
@@ -26,14 +42,19 @@ def thread_count() -> int:
     return int(said) if said.isdecimal() and int(said) else cpu_count()
 
 
-@contextmanager
-def threads(number: int) -> Iterator[None]:
-    """Let forwards compute with this number of threads until the block ends; torch, too, if it is imported inside."""
-    before, said = thread_count(), os.environ.get(_VARIABLE)
+def set_thread_count(number: int) -> None:
+    """Let forwards compute with this number of threads from now on; torch, too, if it is imported later."""
     if "torch" in sys.modules:
         sys.modules["torch"].set_num_threads(number)
     else:
         os.environ[_VARIABLE] = str(number)
+
+
+@contextmanager
+def threads(number: int) -> Iterator[None]:
+    """Let forwards compute with this number of threads until the block ends; torch, too, if it is imported inside."""
+    before, said = thread_count(), os.environ.get(_VARIABLE)
+    set_thread_count(number)
     try:
         yield
     finally:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from tests.servers import FileServer
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
+from zoedepth.weights import load
 from zoedepth.weights.load import available_models, find, load_model
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import save_model
@@ -102,3 +104,25 @@ def test_folder_of_a_training_is_its_newest_checkpoint(tiny_model: ZoeDepth, tmp
         assert (load_model(folder).encoder.network.cls_token == 2).all()
     save_model(tiny_model, tmp_path / "model.safetensors")
     assert find(tmp_path) == tmp_path, "weights of its own go first"
+
+
+# --- the quickest way to depth ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("options", [{"compat": ("squeeze",)}, {"precision": "bfloat16"}, {"device": "cuda"}, {}])
+def test_what_only_torch_can_do_is_loaded_with_torch(options: dict[str, Any], monkeypatch: pytest.MonkeyPatch):
+    asked: list[object] = []
+    monkeypatch.setattr(load, "load_model", lambda name, **_: asked.append(name))
+    monkeypatch.setattr(load, "has_accelerator", lambda: True)
+    load.load_for_prediction("zoed-lite", **options)
+    assert asked == ["zoed-lite"]
+
+
+def test_without_its_runtime_the_model_in_the_package_is_loaded_with_torch(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(load, "find_spec", lambda _: None)
+    assert isinstance(load.load_for_prediction("zoed-lite", device="cpu"), ZoeDepth)
+
+
+def test_files_and_models_without_a_graph_are_loaded_as_ever(file: Path):
+    assert isinstance(load.load_for_prediction(file, device="cpu"), ZoeDepth)
+    assert isinstance(load.load_for_prediction(str(file), device="cpu"), ZoeDepth)

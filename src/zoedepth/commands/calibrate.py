@@ -114,7 +114,7 @@ def calibrate(
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_model
+    from zoedepth.weights.load import load_for_prediction
 
     earlier = None
     if out is not None:
@@ -131,7 +131,9 @@ def calibrate(
         intrinsics=intrinsics,
     )
     with download_progress() as progress:
-        network = load_model(model, compat=compat, precision=precision, progress=progress)
+        network = load_for_prediction(
+            model, device=device, compat=compat, precision=precision, progress=progress
+        )
     if not network.config.domains:
         raise InputError(f"{model} gives relative depth, which has no metres to calibrate: choose a model of metres")
     predictor = Predictor(

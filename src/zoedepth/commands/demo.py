@@ -52,11 +52,11 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
 
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_model
+    from zoedepth.weights.load import load_for_prediction
 
     console = Console(highlight=False)
     with download_progress() as progress:
-        predictor = Predictor(load_model(model, progress=progress), device="auto")
+        predictor = Predictor(load_for_prediction(model, progress=progress), device="auto")
     results = {}
     for name, photo in photos.items():
         # The motorcycle's camera is known; the notes of the others are lost.

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from io import BytesIO
 from itertools import chain, islice
 from pathlib import Path
@@ -238,12 +239,14 @@ def predict(
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
-        from zoedepth.weights.load import load_model
+        from zoedepth.weights.load import load_for_prediction, load_model
 
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
             with download_progress() as progress:
-                network = load_model(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
+                # Ray's actors get their network from here, and graphs of the package hold no relative depth.
+                load = load_model if relative or engine == "ray" else partial(load_for_prediction, device=device)
+                network = load(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
             if not network.config.domains:
                 wanted = request(relative=True)
                 if about_metres:
@@ -260,7 +263,7 @@ def predict(
             )
             if domain is not None:
                 predictor.domain_index(domain)
-            settings = job_settings(wanted, predictor, weights=network_fingerprint(network, model))
+            settings = job_settings(wanted, predictor, weights=network_fingerprint(network))
             tally = Tally(total=len(first) if len(first) < _FIRST else None)
             with place.opened() as manifest:
                 with writing(manifest):

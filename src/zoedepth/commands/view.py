@@ -76,7 +76,7 @@ def view(
     from zoedepth.commands.progress import download_progress
     from zoedepth.panorama import is_sphere, predict_panorama
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_model
+    from zoedepth.weights.load import load_for_prediction
 
     known_camera = chosen_camera(
         [source],
@@ -91,7 +91,7 @@ def view(
     if panorama and known_camera != "exif":
         raise InputError("a panorama looks everywhere and has no camera: leave the camera out")
     with download_progress() as progress:
-        network = load_model(model, progress=progress)
+        network = load_for_prediction(model, device=device, progress=progress)
     if not network.config.domains:
         raise InputError(f"{model} gives relative depth, which makes no shape: choose a model of metres")
     predictor = Predictor(network, device=device, camera=known_camera)

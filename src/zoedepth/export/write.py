@@ -195,7 +195,7 @@ def _write(
         _write_program(wrapped, path, size)
         return _check_program(wrapped, path, size)
     graph = path.with_suffix(".onnx")
-    _write_onnx(wrapped, graph)
+    write_onnx(wrapped, graph)
     if to == "onnx":
         _complete_onnx(model, graph)
         return _check(model, path)
@@ -240,7 +240,14 @@ def _inputs(model: DepthModel, batch: int, size: tuple[int, int]) -> tuple[Tenso
     return (pixels, torch.full((batch,), -1)) if len(model.config.domains) > 1 else (pixels,)
 
 
-def _write_onnx(wrapped: ExportModel, path: Path) -> None:
+def write_onnx(wrapped: ExportModel, path: Path, *, fold: bool = True) -> None:
+    """Write the graph of a model, unchecked, without metadata.
+
+    Args:
+        wrapped: the model.
+        path: file to write.
+        fold: True merges each batch norm into the weights before it. False keeps all weights, under their own names.
+    """
     config = wrapped.model.config
     # Not the size that the position tables fit: nothing would be resized in the traced graph.
     size = config.size if config.one_size else (3 * config.multiple, 4 * config.multiple)
@@ -259,20 +266,27 @@ def _write_onnx(wrapped: ExportModel, path: Path) -> None:
         warnings.simplefilter("ignore")
         torch.onnx.export(
             wrapped, inputs, path, input_names=[INPUT, DOMAIN][: len(inputs)], output_names=names,
-            dynamic_axes=axes, opset_version=OPSET, dynamo=False,
+            dynamic_axes=axes, opset_version=OPSET, dynamo=False, do_constant_folding=fold,
+            training=torch.onnx.TrainingMode.EVAL if fold else torch.onnx.TrainingMode.PRESERVE,
         )  # fmt: skip
 
 
 def _complete_onnx(model: DepthModel, path: Path) -> None:
-    """Add the metadata, and the value of the second input for programs that leave it out."""
     import onnx
 
     graph = onnx.load(path)
+    complete(graph, model)
+    onnx.save(graph, path)
+
+
+def complete(graph: Any, model: DepthModel) -> None:
+    """Add the metadata to a graph of ONNX, and the value of the second input for programs that leave it out."""
+    import onnx
+
     entry = graph.metadata_props.add()
     entry.key, entry.value = METADATA, metadata(model)
     if len(model.config.domains) > 1:
         graph.graph.initializer.append(onnx.helper.make_tensor(DOMAIN, onnx.TensorProto.INT64, [1], [-1]))
-    onnx.save(graph, path)
 
 
 def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence[str | Path]) -> None:

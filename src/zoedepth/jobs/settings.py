@@ -2,7 +2,6 @@
 
 import hashlib
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoedepth import __version__
@@ -16,15 +15,13 @@ if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
 
 
-def network_fingerprint(network: "DepthModel | ExportedModel", model: str) -> str:
-    """Return a hash of a network: its configuration and its weights, whatever file or name they came from.
+def network_fingerprint(network: "DepthModel | ExportedModel") -> str:
+    """Return a hash of a network: its configuration and its weights, whatever name they came by.
 
-    Args:
-        network: the model, as it was loaded.
-        model: its name; of an exported model, its file, for its weights are in no tensors here.
+    The same weights have another one in another runtime, which rounds otherwise.
     """
     if isinstance(network, ExportedModel):
-        return weights_fingerprint(Path(model))
+        return weights_fingerprint(network.path)
     import torch
 
     tensors = network.state_dict()

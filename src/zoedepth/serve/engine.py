@@ -21,7 +21,8 @@ from zoedepth.serve.photos import Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import ClientGone, Problem, sentence
 from zoedepth.serve.settings import Settings
 from zoedepth.threads import cpu_count
-from zoedepth.weights.load import load_model
+from zoedepth.weights.exported import ExportedModel
+from zoedepth.weights.load import load_for_prediction
 from zoedepth.weights.releases import RELEASES
 
 Result = TypeVar("Result")
@@ -69,14 +70,14 @@ class Model:
         self.source = source
         path = Path(source)
         self.name = source if source in RELEASES else (path.name if path.is_dir() else path.stem) or source
-        network = load_model(source, precision=settings.precision, streams=streams)
+        network = load_for_prediction(source, device=settings.device, precision=settings.precision, streams=streams)
         if not network.config.domains:
             raise InputError(f"{source} gives relative depth, and the service answers in metres: choose another model")
         self._precision: Any = settings.precision
         base = Predictor(network, device=settings.device, precision=self._precision)
         self.network = base.model
         """The network, on its device."""
-        self.on_cpu = base.device.type == "cpu"
+        self.on_cpu = isinstance(network, ExportedModel) or base.device.type == "cpu"
         """True where the network computes on the CPU."""
         self._predictors: dict[tuple[bool, bool | None], Predictor] = {(True, None): base}
 

@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import Any
 
-import torch
 import uvicorn
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.logging import AccessFormatter, DefaultFormatter
@@ -24,7 +23,7 @@ from zoedepth.serve.answers import memory_folder
 from zoedepth.serve.app import Service, create_app
 from zoedepth.serve.metrics import FOLDER_VARIABLE
 from zoedepth.serve.settings import Settings
-from zoedepth.threads import cpu_count
+from zoedepth.threads import cpu_count, set_thread_count
 from zoedepth.weights.exported import is_exported
 from zoedepth.weights.load import find
 
@@ -173,7 +172,7 @@ def application() -> Service:
     """Make the application in one process of several, as ``run_several`` tells it by the environment."""
     told = json.loads(os.environ[_TOLD])
     settings = from_dict(Settings, told["settings"], where=_TOLD)
-    torch.set_num_threads(max(1, cpu_count() // (told["workers"] * (settings.threads or 1))))
+    set_thread_count(max(1, cpu_count() // (told["workers"] * (settings.threads or 1))))
     return create_app(settings)
 
 

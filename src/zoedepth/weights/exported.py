@@ -17,6 +17,7 @@ from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count
 from zoedepth.weights.openvino_graph import specialized
+from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
 
 if TYPE_CHECKING:
@@ -39,9 +40,16 @@ class ExportedModel(ABC):
     Attributes:
         config: the config of the model from which it was exported.
         provenance: licence and training data of the weights, where they are known.
+        path: the file.
+        precision: the numbers that it computes in: "float32", "bfloat16" or "int8".
     """
 
+    runtime: str
+    """The library that computes."""
+    precision: str = "float32"
+
     def __init__(self, metadata: str | None, path: Path) -> None:
+        self.path = path
         self.config, self.provenance = _read_metadata(metadata, path)
 
     @property
@@ -118,20 +126,25 @@ class ExportedModel(ABC):
 class OnnxModel(ExportedModel):
     """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU."""
 
+    runtime = "ONNX Runtime"
+
     def __init__(self, path: Path, *, threads: int) -> None:
+        checked = path.parent != ASSETS and path.stat().st_size <= _SMALL
         try:
-            import onnx
             import onnxruntime
+
+            if checked:
+                import onnx
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
-        self.path, self.threads = path, threads
+        self.threads = threads
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
         wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
-            if path.stat().st_size <= _SMALL:
+            if checked:
                 _refuse_onnx_bomb(onnx.load(path, load_external_data=False), path)
             self.session = onnxruntime.InferenceSession(str(path), options, providers=providers)
         except InputError:
@@ -163,12 +176,13 @@ class OpenVinoModel(ExportedModel):
     and without the standard deviation are compiled separately.
     """
 
+    runtime = "OpenVINO"
+
     def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:
         try:
             import openvino
         except ModuleNotFoundError as error:
             raise MissingExtraError("openvino", "running an OpenVINO file") from error
-        self.path = path
         self.options: dict[str, Any] = {"precision": precision, "threads": threads, "streams": streams}
         self.core = openvino.Core()
         self.properties = {
@@ -186,6 +200,8 @@ class OpenVinoModel(ExportedModel):
             raise InputError(
                 f"{path} cannot be read as OpenVINO: {str(error)[:300]}. Is its .bin file beside it?"
             ) from error
+        quantized = any(node.get_type_name() == "FakeQuantize" for node in self.graph.get_ops())
+        self.precision = "int8" if quantized else precision
         self.lock = Lock()
         self.first_shape: tuple[int, ...] | None = None
         self.compiled: dict[tuple[bool, bool], Any] = {}

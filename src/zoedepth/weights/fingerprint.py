@@ -12,7 +12,7 @@ from zoedepth.weights.hub import CONFIG, PREPROCESSOR, WEIGHTS
 def weights_fingerprint(path: Path) -> str:
     """Return a hash of a model: of its file of weights, or of its folder, with the configuration beside it.
 
-    OpenVINO's weights are in a .bin beside the .xml, and are part of it.
+    OpenVINO's weights are in a .bin beside the .xml, and are part of it; so are those that an .onnx has beside it.
     """
     if path.is_dir() and not (path / WEIGHTS).is_file():
         return fingerprint(files_state(path.rglob("*")))
@@ -20,6 +20,8 @@ def weights_fingerprint(path: Path) -> str:
     parts = {file, folder / CONFIG, folder / PREPROCESSOR}
     if file.suffix == ".xml":
         parts.add(file.with_suffix(".bin"))
+    if file.suffix == ".onnx":
+        parts.add(file.with_suffix(".safetensors"))
     return fingerprint([(part.name, content(part)) for part in sorted(parts) if part.is_file()])
 
 

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,9 +10,10 @@ from zoedepth.download import Progress, download
 from zoedepth.errors import InputError, similar
 from zoedepth.moved import moved_name
 from zoedepth.presets import PRESETS
+from zoedepth.threads import has_accelerator
 from zoedepth.weights.exported import ExportedModel, Precision, is_exported, load_exported
 from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
-from zoedepth.weights.releases import RELEASES
+from zoedepth.weights.releases import ASSETS, RELEASES
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -62,6 +64,43 @@ def load_model(
             )
         return load_exported(name_or_path, precision=precision, streams=streams)
     return load_network(name_or_path, compat=compat, progress=progress)
+
+
+def load_for_prediction(
+    name_or_path: str | Path,
+    *,
+    device: str = "auto",
+    compat: Iterable[str] = (),
+    precision: Precision = "float32",
+    streams: int = 1,
+    progress: Progress | None = None,
+) -> "DepthModel | ExportedModel":
+    """Load a model that is to predict metres, and nothing else: as ``load_model`` does, or sooner.
+
+    A model whose graph is in the package (``zoed-lite``) then runs in ONNX Runtime, where that is installed, on the
+    same weights: it starts without torch, in a fifth of the time, and gives the same depth but for rounding. That holds
+    on the CPU, in float32 and with nothing of ``compat``; everything else is loaded with torch.
+
+    Args:
+        name_or_path: see ``load_model``.
+        device: where the model is to run, see ``Predictor``: "auto" is the CPU where the machine has no accelerator.
+        compat: see ``load_model``.
+        precision: see ``load_model``.
+        streams: see ``load_model``.
+        progress: see ``load_model``.
+
+    Raises:
+        InputError: see ``load_model``.
+        MissingExtraError: the runtime of an exported file is not installed.
+    """
+    release = RELEASES.get(name_or_path) if isinstance(name_or_path, str) else None
+    compat = tuple(compat)
+    on_cpu = device == "cpu" or (device == "auto" and not has_accelerator())
+    if release and release.graph and on_cpu and precision == "float32" and not compat and find_spec("onnxruntime"):
+        model = load_exported(ASSETS / release.graph)
+        model.provenance = release.provenance
+        return model
+    return load_model(name_or_path, compat=compat, precision=precision, streams=streams, progress=progress)
 
 
 def load_network(

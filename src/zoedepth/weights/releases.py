@@ -37,6 +37,8 @@ class Release:
     """Address that the file is downloaded from; None: it is in the package."""
     hub_id: str | None = None
     """Hugging Face id of the same model."""
+    graph: str | None = None
+    """File name of its graph in ONNX, beside the weights and without any, for models in the package."""
     measured: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     """Numbers that were measured here, see ``Provenance.measured`` (docs/results.md)."""
 
@@ -64,6 +66,7 @@ RELEASES: dict[str, Release] = {
         "non-commercial research",
         "NYU Depth v2 (795 pairs, for research), KITTI (110 pairs, CC BY-NC-SA 3.0), 4,000 rendered scenes, with 67 of "
         "relative depth",
+        graph="zoed-lite.onnx",
         measured={
             "NYU Depth v2, 654 test pairs": _measured(0.172, 0.572, 0.071, 0.755, 0.942, 0.985),
             "KITTI 2015, 38 pairs": _measured(0.103, 4.205, 0.046, 0.878, 0.977, 0.994),
