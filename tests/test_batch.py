@@ -42,6 +42,8 @@ from zoedepth.stored import read_depth
 class Brightness(Predictor):
     """Predicts 1 m + the mean of the three colours / 255."""
 
+    runtime = "brightness, float32"
+
     def __init__(self) -> None:
         self.model = SimpleNamespace(config=SimpleNamespace(size=(64, 96), canonical_camera=False))
         self.camera, self.focal_correction = "exif", None
@@ -380,6 +382,7 @@ class TestPredictPhoto:
             "domain": "indoor",
             "domain_probability": {"indoor": 0.1235, "outdoor": 0.9},
             "focal_correction": 1.0,
+            "runtime": "brightness, float32",
             "camera": json.loads(json.dumps(asdict(expected.camera))),
             "unit": "metre",
             "projection": "perspective",

@@ -443,7 +443,7 @@ def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Pred
             "domain_probability": sidecars.rounded(result.domain_probability),
             **_about_camera(result),
         }
-    return Predicted(maps, origin, time.perf_counter() - started, notes)
+    return Predicted(maps, {**origin, "runtime": predictor.runtime}, time.perf_counter() - started, notes)
 
 
 def write_drafts(

@@ -9,7 +9,7 @@ import numpy as np
 from zoedepth.config import Domain
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
-from zoedepth.forward.answer import Answer
+from zoedepth.forward.answer import Answer, Precision
 from zoedepth.forward.arrays import ArrayForward
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.choice import CameraChoice, CameraChoices, check_choice, choice_for_each, known_without_notes
@@ -60,7 +60,9 @@ class Predictor:
             "bilinear" (corners aligned) as in its evaluation.
         resize: "keep-aspect" or "squeeze" the photo, see ``ModelConfig.resize``. None does what the config says.
         device: where to run, "auto" for the best there is. None stays where the model is.
-        precision: "bfloat16" runs the model under autocast; the output is float32 either way.
+        precision: "bfloat16", or on a GPU "float16" (not run), runs a model of torch under autocast; the output is
+            float32 either way. An exported model has the precision that it was loaded with. ``load_fast`` in
+            ``zoedepth.runtimes.fast`` takes what is fastest on this machine.
         camera: the camera of the photos, where a call does not say another. "exif" reads it from each photo's notes. A
             ``Camera`` is that of photos of its size; photos of the same proportions are taken for resized ones. A
             ``Lens`` (a field of view, or a focal length) holds for photos of any size. "none" asks nobody. Where nobody
@@ -72,8 +74,8 @@ class Predictor:
             training photos. An assumed camera corrects nothing.
 
     Raises:
-        InputError: unknown precision, device or camera; or ``focal_correction`` is True, and the model's config does
-            not say the focal length of its training photos (``Domain.focal_px``).
+        InputError: unknown precision, device or camera; float16 without a GPU; or ``focal_correction`` is True, and the
+            model's config does not say the focal length of its training photos (``Domain.focal_px``).
     """
 
     def __init__(
@@ -85,14 +87,14 @@ class Predictor:
         upsampling: Literal["bicubic", "bilinear"] = "bicubic",
         resize: Literal["keep-aspect", "squeeze"] | None = None,
         device: "str | torch.device | None" = None,
-        precision: Literal["float32", "bfloat16"] = "float32",
+        precision: Precision = "float32",
         camera: CameraChoice = "exif",
         focal_correction: bool | None = None,
     ) -> None:
         if upsampling not in ("bicubic", "bilinear"):
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
-        if precision not in ("float32", "bfloat16"):
-            raise InputError(f"precision must be 'float32' or 'bfloat16', got {precision!r}")
+        if precision not in ("float32", "bfloat16", "float16"):
+            raise InputError(f"precision must be 'float32', 'bfloat16' or 'float16', got {precision!r}")
         check_choice(camera)
         unknown = [domain.name for domain in model.config.domains if domain.focal_px is None]
         if focal_correction and unknown:
@@ -107,6 +109,8 @@ class Predictor:
             model = on_device(model, device)
         elif device is not None and str(device) not in ("auto", "cpu"):
             raise InputError(f"an exported model cannot be moved to {str(device)!r}: leave the device out")
+        if precision == "float16" and (isinstance(model, ExportedModel) or model.device.type == "cpu"):
+            raise InputError("float16 is for models of torch on a GPU: take float32 or bfloat16")
         self.model = model
         self.flip_average = flip_average
         self.pad = model.config.pad if pad is None else pad
@@ -114,7 +118,7 @@ class Predictor:
         self.keep_aspect_ratio = model.config.keep_aspect_ratio and resize != "squeeze"
         if resize == "keep-aspect" and not model.config.one_size:
             self.keep_aspect_ratio = True
-        self.precision: Literal["float32", "bfloat16"] = precision
+        self.precision: Precision = precision
         self.camera: CameraChoice = camera
         self.focal_correction = focal_correction
 
@@ -122,6 +126,13 @@ class Predictor:
     def device(self) -> "torch.device":
         """The device on which the model is."""
         return self.model.device
+
+    @property
+    def runtime(self) -> str:
+        """The library that computes, and in which numbers: "torch, float32", "OpenVINO, int8"."""
+        if isinstance(self.model, ExportedModel):
+            return f"{self.model.runtime}, {self.model.precision}"
+        return f"torch, {self.precision}"
 
     @property
     def corrects_known_cameras(self) -> bool:

@@ -1,12 +1,15 @@
 """The answer of a network about a photo."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from zoedepth.images import DepthArray, ImageArray
 
 Photos = Sequence[tuple[ImageArray, tuple[int, int]]]
 """Photos, each with the (height, width) at which the network sees it."""
+
+Precision = Literal["float32", "bfloat16", "float16"]
+"""The number type that torch computes products in; float16 is for GPUs."""
 
 
 class Answer(NamedTuple):

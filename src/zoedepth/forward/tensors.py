@@ -15,7 +15,7 @@ from torch import Tensor
 
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
-from zoedepth.forward.answer import Answer, Photos, in_groups
+from zoedepth.forward.answer import Answer, Photos, Precision, in_groups
 from zoedepth.images import DepthArray, ImageArray
 from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.pixels import reflect_pad, resize_pixels
@@ -31,7 +31,7 @@ class TensorForward:
     pad: bool
     flip_average: bool
     upsampling: Literal["bicubic", "bilinear"]
-    precision: Literal["float32", "bfloat16"]
+    precision: Precision
 
     def predict(self, photos: Photos, head: int | None, *, batch_size: int) -> list[Answer]:
         """Predict photos: on an accelerator, those of one network size together; on the CPU, each on cores of its own.
@@ -141,7 +141,9 @@ class TensorForward:
         return padded[:, :, top : top + height, left : left + width]
 
     def _autocast(self) -> "torch.autocast | nullcontext":
-        return torch.autocast(self.model.device.type, torch.bfloat16) if self.precision == "bfloat16" else nullcontext()
+        if self.precision == "float32":
+            return nullcontext()
+        return torch.autocast(self.model.device.type, getattr(torch, self.precision))
 
     def _relative(self, pixels: Float[Tensor, "batch 3 height width"]) -> Float[Tensor, "batch 1 height width"]:
         with self._autocast():

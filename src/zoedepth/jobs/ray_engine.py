@@ -9,10 +9,11 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from zoedepth.batch import Request
 from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.forward.answer import Precision
 from zoedepth.geometry.choice import CameraChoice
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Manifest
@@ -47,7 +48,7 @@ class Recipe:
     network: Any
     """Ray's reference to the network, which goes to each machine once; None for one that cannot be sent."""
     device: str
-    precision: Literal["float32", "bfloat16"]
+    precision: Precision
     flip_average: bool
     pad: bool
     squeeze: bool
@@ -226,7 +227,7 @@ def _recipe(predictor: Predictor, model: str, device: str) -> Recipe:
         model,
         None if exported else ray.put(network.to("cpu")),
         "cpu" if exported else device,
-        "bfloat16" if predictor.precision == "bfloat16" else "float32",
+        predictor.precision,
         predictor.flip_average,
         predictor.pad,
         not predictor.keep_aspect_ratio,

@@ -54,7 +54,7 @@ def job_settings(request: Request, predictor: Predictor, *, weights: str) -> dic
         "flip": predictor.flip_average,
         "pad": predictor.pad,
         "squeeze": not predictor.keep_aspect_ratio,
-        "precision": predictor.precision,
+        "runtime": predictor.runtime,
         "camera": predictor.camera if isinstance(predictor.camera, str) else repr(predictor.camera),
         "focal_correction": predictor.focal_correction,
     }
