@@ -3,9 +3,11 @@
 import dataclasses
 import json
 import random
+import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from threading import Event
 from types import MappingProxyType
 from typing import Any
 
@@ -356,3 +358,64 @@ def test_processes_are_those_of_torchrun(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert dataclasses.astuple(Processes.from_environment()) == expected
+
+
+# ---------------------------------------------------------------------------------------------------- several at once
+
+
+@pytest.mark.parametrize("workers", [2, 3])
+def test_images_scored_at_the_same_time_give_the_same_in_the_same_order(workers: int, tmp_path: Path) -> None:
+    class SlowFirst(FactorSource):
+        def __init__(self) -> None:
+            super().__init__(FACTORS, broken=["2.jpg"])
+            self.second_is_done = Event()
+
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            if sample.name == "0.jpg":  # in hand until another has its answer
+                assert self.second_is_done.wait(60)
+            found = super().predict(sample, protocol)
+            if sample.name == "1.jpg":
+                self.second_is_done.set()
+            return found
+
+    source, samples, told = SlowFirst(), photos(7, without_truth=[4]), []
+
+    def track(indices: list[int]) -> Iterable[int]:
+        for index in indices:
+            yield index
+            told.append(index)
+
+    files = score_files(source, samples, PROTOCOLS, tmp_path)
+    found = score_dataset(source, samples, PROTOCOLS, files=files, workers=workers, track=track)
+    expected = score_dataset(FactorSource(FACTORS, broken=["2.jpg"]), samples, PROTOCOLS)
+    assert found == expected
+    assert found.failures == ["image 2: 2.jpg is broken"]
+    assert told == list(range(7))
+    assert score_files(source, samples, PROTOCOLS, tmp_path).read() == expected.scores
+
+
+def test_an_error_among_several_at_once_ends_all() -> None:
+    class Wrong(FactorSource):
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            if sample.name == "1.jpg":
+                raise ZeroDivisionError
+            return super().predict(sample, protocol)
+
+    source = Wrong()
+    with pytest.raises(ZeroDivisionError):
+        score_dataset(source, photos(40), PROTOCOLS, workers=2)
+    assert len(source.asked) < 10  # those in hand were finished, no other was begun
+
+
+def test_threads_read_one_after_the_other() -> None:
+    class OneAtATime(list):
+        inside = 0
+
+        def __getitem__(self, index: int) -> Sample:
+            self.inside += 1
+            assert self.inside == 1
+            time.sleep(0.001)
+            self.inside -= 1
+            return super().__getitem__(index)
+
+    assert len(score_dataset(FactorSource(), OneAtATime(photos(12)), PROTOCOLS, workers=4).scores) == 12

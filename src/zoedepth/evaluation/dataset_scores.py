@@ -1,9 +1,14 @@
 """Score one source on one data set: a line of JSON for each image, resumable, alone or among processes."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
+from typing import TypeVar
 
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
@@ -12,6 +17,7 @@ from zoedepth.evaluation.predictions import PredictionSource, predict, prepare
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score, score
+from zoedepth.threads import cpu_count, threads
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,7 @@ def score_dataset(
     *,
     files: ScoreFiles | None = None,
     processes: Processes | None = None,
+    workers: int = 1,
     track: Callable[[list[int]], Iterable[int]] = iter,
 ) -> DatasetScores:
     """Score image by image, except those whose score is kept and still holds.
@@ -83,6 +90,8 @@ def score_dataset(
         protocols: domain → protocol, for every domain that occurs.
         files: where the scores are kept, a line of JSON each, written one by one; None keeps none.
         processes: if there are several, this one scores its share; the result then has all that was written so far.
+        workers: images that are scored at the same time, each by a thread with its share of the cores. The source must
+            allow it.
         track: receives the numbers of the images to score and yields them, to show progress.
 
     Raises:
@@ -94,20 +103,54 @@ def score_dataset(
         done = files.read()
         files.open(processes.rank, processes.count)
     failures = []
+
+    one_reader = Lock()  # archives have one position each
+
+    def scored(index: int) -> tuple[int, str | None, Score | InputError]:
+        before = None if files is None else files.stamps.of_data(index)  # before anything is read
+        try:
+            with one_reader:
+                sample = data[index]
+            return index, before, _score_one(source, sample, protocols)
+        except InputError as error:
+            return index, before, error
+
+    indices = [index for index in range(processes.rank, len(data), processes.count) if index not in done]
     try:
-        for index in track([i for i in range(processes.rank, len(data), processes.count) if i not in done]):
-            before = None if files is None else files.stamps.of_data(index)  # before anything is read
-            try:
-                done[index] = _score_one(source, data[index], protocols)
-            except InputError as error:
-                failures.append(f"image {index}: {error}")
-                continue
-            if files is not None and before is not None:
-                files.add(index, done[index], before)
+        with closing(_in_order(scored, indices, workers=workers)) as results:
+            for _, (index, before, found) in zip(track(indices), results, strict=False):
+                if isinstance(found, InputError):
+                    failures.append(f"image {index}: {found}")
+                    continue
+                done[index] = found
+                if files is not None and before is not None:
+                    files.add(index, found, before)
     finally:
         if files is not None:
             files.close()
     return DatasetScores(dict(sorted(done.items())), failures, 0 if files is None else files.n_stale)
+
+
+T = TypeVar("T")
+
+
+def _in_order(function: Callable[[int], T], indices: list[int], *, workers: int) -> Iterator[T]:
+    """Yield the results of a function in order, with so many calls at the same time; at most as many wait."""
+    if workers < 2:
+        yield from map(function, indices)
+        return
+    waiting: deque[Future[T]] = deque()
+    pool = ThreadPoolExecutor(workers, "score")
+    try:
+        with threads(max(1, cpu_count() // workers)):
+            for index in indices:
+                waiting.append(pool.submit(function, index))
+                if len(waiting) == 2 * workers:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _score_one(source: PredictionSource, sample: Sample, protocols: Mapping[str, Protocol]) -> Score:

@@ -13,7 +13,7 @@ from zoedepth.evaluation.evaluation_set import EvaluationSet
 from zoedepth.evaluation.out_folder import REPORTS, check_folder
 from zoedepth.evaluation.paper_numbers import method_rows
 from zoedepth.evaluation.plausible import check_predictions
-from zoedepth.evaluation.predictions import FolderSource, PredictionSource
+from zoedepth.evaluation.predictions import FolderSource, ModelSource, PredictionSource
 from zoedepth.evaluation.report import error_by_depth, examples, require_matplotlib, write_picture, write_report
 from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score
@@ -154,6 +154,7 @@ def evaluate(
                 each.protocols,
                 files=files,
                 processes=processes,
+                workers=source.workers if isinstance(source, ModelSource) and processes.count == 1 else 1,
                 track=partial(_track, track, f"{label} on {name}"),
             )
             if found.n_stale:

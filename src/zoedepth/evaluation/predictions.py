@@ -25,12 +25,16 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
+from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
 from zoedepth.weights.load import find, load_model
 
 # The usual ones first; DEPTH_SUFFIXES has all that can be read.
 _SUFFIXES = tuple(dict.fromkeys((".png", ".npy", ".npz", *DEPTH_SUFFIXES)))
+
+
+_MOST_WORKERS = 4
 
 
 class Prediction(NamedTuple):
@@ -130,6 +134,11 @@ class ModelSource:
         model = Predictor(load_model(name, compat=tuple(compat), progress=progress), device=device).model
         about = {"model": str(name), "compat": list(compat)}
         return cls(model, about=about, weights=weights_fingerprint(find(name)), camera=camera)
+
+    @property
+    def workers(self) -> int:
+        """Photos that are best predicted at the same time: on the CPU one a core, up to four, for each takes memory."""
+        return min(cpu_count(), _MOST_WORKERS) if self.model.device.type == "cpu" else 1
 
     def state(self, name: str) -> str | None:
         """Return the hash of the weights, whatever the photo."""

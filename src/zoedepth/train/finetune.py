@@ -316,7 +316,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
     tested = ModelSource(load_network(model), camera="data" if knows else "none")
     with torch.no_grad():
-        results = score_dataset(tested, held_out, protocols)
+        results = score_dataset(tested, held_out, protocols, workers=tested.workers)
     return summarise(
         label,
         name,
