@@ -9,6 +9,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.timing import compare
+from zoedepth.weights.releases import RELEASES
 
 
 def main() -> None:
@@ -28,17 +29,16 @@ def main() -> None:
         "load_model('zoed-lite')": process("-c", "import zoedepth; zoedepth.load_model('zoed-lite')"),
     }, runs=3, warmup=1)  # fmt: skip
     with tempfile.TemporaryDirectory() as name:
-        folder, zoedepth = Path(name), [sys.executable, "-m", "zoedepth"]
-        photo, exported = folder / "photo.jpg", folder / "zoed-lite.onnx"
+        folder = Path(name)
+        photo = folder / "photo.jpg"
         Image.fromarray(np.random.default_rng(0).integers(0, 256, (480, 640, 3), np.uint8)).save(photo)
-        subprocess.run([*zoedepth, "export", "zoed-lite", "--to", "onnx", "--out", exported], check=True)
 
         def predict(model: str | Path):
             arguments = ("--model", str(model), "--out", str(folder / "depth"), "--no-preview", "--overwrite")
-            return process("-m", "zoedepth", "predict", str(photo), *arguments)
+            return process("-m", "zoedepth", "predict", str(photo), "--json", *arguments)
 
         compare("one photo, from the command to the files", {
             "import torch": process("-c", "import torch"),
-            "predict --model zoed-lite.onnx": predict(exported),
-            "predict --model zoed-lite": predict("zoed-lite"),
+            "zoedepth predict": predict("zoed-lite"),
+            "zoedepth predict, with torch": predict(RELEASES["zoed-lite"].path),
         }, runs=5, warmup=1)  # fmt: skip

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from zoedepth.panorama import PanoramaMap, predict_panorama
     from zoedepth.predict import Predictor
     from zoedepth.stored import read_depth
-    from zoedepth.weights.load import available_models, load_model
+    from zoedepth.weights.load import available_models, load_for_prediction, load_model
     from zoedepth.weights.pretrained import ZoeDepth
     from zoedepth.weights.save import push_to_hub, save_model
 
@@ -38,6 +38,7 @@ __all__ = [
     "ZoeDepthError",
     "available_models",
     "build_model",
+    "load_for_prediction",
     "load_model",
     "predict_panorama",
     "push_to_hub",
@@ -71,7 +72,7 @@ def __getattr__(name: str) -> object:
         value = getattr(panorama, name)
     elif name == "Predictor":
         from zoedepth.predict import Predictor as value
-    elif name in ("available_models", "load_model"):
+    elif name in ("available_models", "load_for_prediction", "load_model"):
         from zoedepth.weights import load
 
         value = getattr(load, name)
