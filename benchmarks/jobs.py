@@ -538,6 +538,7 @@ class _Nothing:
     """A predictor without a network: 2 m everywhere."""
 
     corrects_known_cameras = False
+    runtime = "none"
     camera, focal_correction = "exif", None
 
     def __init__(self) -> None:
