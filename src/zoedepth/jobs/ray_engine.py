@@ -9,7 +9,7 @@ import os
 import pickle
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from zoedepth.batch import Request
 from zoedepth.errors import InputError, MissingExtraError
@@ -20,10 +20,13 @@ from zoedepth.jobs.manifest import Manifest
 from zoedepth.jobs.origins import Held
 from zoedepth.jobs.run import Tally, missing, writing
 from zoedepth.jobs.work import Done, Input, do_photo
-from zoedepth.model.interface import DepthModel
 from zoedepth.predict import Predictor
+from zoedepth.threads import set_thread_count
 from zoedepth.weights.exported import ExportedModel
-from zoedepth.weights.load import load_model
+from zoedepth.weights.load import load_for_prediction
+
+if TYPE_CHECKING:
+    from zoedepth.model.interface import DepthModel
 
 _BLOCK, _FIRST_BLOCKS, _LARGE_BLOCK = 8, 10_000, 64
 """Inputs that an actor gets together: few, so that little is lost with it; more where there are very many."""
@@ -44,7 +47,7 @@ class Recipe:
     """Everything that an actor makes its predictor of."""
 
     model: str
-    """Name of the model, for one that cannot be sent: an exported file, which each machine must have."""
+    """Name of the model, for one that cannot be sent: an exported file or graph, which each machine must have."""
     network: Any
     """Ray's reference to the network, which goes to each machine once; None for one that cannot be sent."""
     device: str
@@ -58,10 +61,11 @@ class Recipe:
     def predictor(self) -> Predictor:
         """Make the predictor, on one core where it computes on the CPU."""
         import ray
-        import torch
 
-        torch.set_num_threads(1)
-        network: DepthModel | ExportedModel = load_model(self.model) if self.network is None else ray.get(self.network)
+        set_thread_count(1)
+        network: "DepthModel | ExportedModel" = (
+            load_for_prediction(self.model, device="cpu") if self.network is None else ray.get(self.network)
+        )
         return Predictor(
             network,
             flip_average=self.flip_average,
@@ -112,7 +116,8 @@ def run_on_ray(
         predictor: its network goes to the machines; it does not compute itself.
         request: the files to make of each photo.
         model: name of the model.
-        device: "auto" takes the cluster's GPUs, one for each actor, or its cores, where it has none.
+        device: "auto" takes the cluster's GPUs, one for each actor, or its cores, where it has none. Only models of torch
+            run on GPUs.
         manifest: the manifest, for which ``Manifest.begin`` was called.
         destination: where the files go; all machines must see it at the same path.
         workers: actors; None: as many as the cluster has GPUs or cores.
@@ -155,7 +160,8 @@ def run_on_ray(
         if not blocks:
             return
         resources = ray.cluster_resources()
-        n_gpus = int(resources.get("GPU", 0)) if device != "cpu" else 0
+        on_cpu = device == "cpu" or isinstance(predictor.model, ExportedModel)
+        n_gpus = 0 if on_cpu else int(resources.get("GPU", 0))
         n_actors = workers or n_gpus or max(1, int(resources.get("CPU", 1)))
         recipe = _recipe(predictor, model, device if device != "auto" else "cuda" if n_gpus else "cpu")
         results = ray.data.from_arrow_refs(blocks).map_batches(
