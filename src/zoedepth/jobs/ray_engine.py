@@ -116,8 +116,8 @@ def run_on_ray(
         predictor: its network goes to the machines; it does not compute itself.
         request: the files to make of each photo.
         model: name of the model.
-        device: "auto" takes the cluster's GPUs, one for each actor, or its cores, where it has none. Only models of torch
-            run on GPUs.
+        device: "auto" takes the cluster's GPUs, one for each actor, or its cores, where it has none. Models that are no
+            longer in torch take cores.
         manifest: the manifest, for which ``Manifest.begin`` was called.
         destination: where the files go; all machines must see it at the same path.
         workers: actors; None: as many as the cluster has GPUs or cores.
