@@ -244,8 +244,8 @@ def predict(
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
             with download_progress() as progress:
-                # Ray's actors get their network from here, and graphs of the package hold no relative depth.
-                load = load_model if relative or engine == "ray" else partial(load_for_prediction, device=device)
+                # The graphs in the package hold no relative depth.
+                load = load_model if relative else partial(load_for_prediction, device=device)
                 network = load(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
             if not network.config.domains:
                 wanted = request(relative=True)
