@@ -9,7 +9,10 @@ PACKAGE = ROOT / "src" / "zoedepth"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LIBRARY = [path for path in MODULES if path.parent.name != "commands" and path != PACKAGE / "cli.py"]
 """Everything but the command line."""
-LATE = [PACKAGE / name for name in ("__init__.py", "predict.py", "weights/exported.py", "weights/load.py")]
+LATE = [
+    PACKAGE / name
+    for name in ("__init__.py", "predict.py", "runtimes/exports.py", "weights/exported.py", "weights/load.py")
+]
 """Modules that start without torch, and import what needs it when it is needed."""
 
 

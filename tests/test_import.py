@@ -36,7 +36,7 @@ def modules_after(code: str) -> set[str]:
         "import zoedepth.cli",
         "from zoedepth.cli import main; assert main(['--help']) == 0",
         "from zoedepth.cli import main; assert main(['--version']) == 0",
-        "import zoedepth.commands.predict",
+        "import zoedepth.commands.predict, zoedepth.commands.benchmark, zoedepth.runtimes.fast",
         "from zoedepth import Predictor, load_model",
     ],
 )

@@ -138,6 +138,12 @@ def _export() -> Function:
     return export
 
 
+def _benchmark() -> Function:
+    from zoedepth.commands.benchmark import benchmark
+
+    return benchmark
+
+
 def _push() -> Function:
     from zoedepth.commands.convert import push
 
@@ -188,6 +194,11 @@ COMMANDS = {
     "models": Command("list the models that have a name, and which are on this machine", _models),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
     "export": Command("write a model for other programs: ONNX, OpenVINO, torch.export", _export),
+    "benchmark": Command(
+        "measure a model in every runtime that is installed here, for predict --fast",
+        _benchmark,
+        ("model", "photos", "json_", "int8", "device"),
+    ),
     "push": Command("publish a model on the Hugging Face Hub", _push),
 }
 

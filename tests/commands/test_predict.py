@@ -26,6 +26,7 @@ from zoedepth.geometry.lens import Lens
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS
 from zoedepth.predict import Predictor
+from zoedepth.runtimes.fast import Fast
 from zoedepth.stored import read_depth
 
 
@@ -356,6 +357,58 @@ class TestCamera:
         assert "the calibration does not hold for this photo" in capsys.readouterr().err
         assert predict(photo, "--relative", "--calibration", tmp_path / "c.json", out=tmp_path / "o") == 2
         assert "no metres: leave out calibration" in capsys.readouterr().err
+
+
+class TestFast:
+    @pytest.fixture
+    def fast(self, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
+        """The fastest is torch in bfloat16; returns what was asked for."""
+        options: dict[str, object] = {}
+
+        def load(name: str, **given: object) -> Fast:
+            options.update(given, name=name)
+            return Fast(tiny_model, "torch, bfloat16", "it [was] measured", "bfloat16", "cpu")
+
+        monkeypatch.setattr("zoedepth.runtimes.fast.load_fast", load)
+        return options
+
+    def test_what_computes_is_said_and_told_in_the_sidecar(
+        self,
+        photo: Path,
+        tmp_path: Path,
+        tiny_model: ZoeDepth,
+        fast: dict[str, object],
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:
+        assert predict(photo, "--fast", "--save", "npy", "--compat", "squeeze", out=tmp_path / "out") == 0
+        assert "Fast: torch, bfloat16 (it [was] measured)" in capsys.readouterr().err
+        assert json.loads((tmp_path / "out/photo.json").read_text())["runtime"] == "torch, bfloat16"
+        expected = Predictor(tiny_model, precision="bfloat16")(photo).depth
+        np.testing.assert_allclose(np.load(tmp_path / "out/photo_depth.npy"), expected, rtol=1e-5)
+        assert (fast["name"], fast["compat"], fast["device"], fast["streams"], fast["metres"]) == (
+            "zoed-lite", ("squeeze",), "auto", 1, True,
+        )  # fmt: skip
+
+    def test_relative_depth_is_asked_for(self, photo: Path, tmp_path: Path, fast: dict[str, object]) -> None:
+        assert predict(photo, "--fast", "--relative", out=tmp_path / "out") == 0
+        assert fast["metres"] is False
+
+    def test_a_job_of_another_runtime_is_another_job(
+        self, tmp_path: Path, fast: dict[str, object], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        write_photo(tmp_path / "in/a.png")
+        assert predict(tmp_path / "in", "--fast", out=tmp_path / "out") == 0
+        assert predict(tmp_path / "in", "--model", "m.pt", out=tmp_path / "out") == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert 'runtime was "torch, bfloat16" and is now "torch, float32"' in said
+        assert predict(tmp_path / "in", "--fast", out=tmp_path / "out") == 0
+
+    @pytest.mark.parametrize("options", [["--precision", "bfloat16"], ["--engine", "ray"]])
+    def test_what_leaves_no_choice_is_refused(
+        self, photo: Path, tmp_path: Path, options: list[str], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert predict(photo, "--fast", *options, out=tmp_path / "out") == 2
+        assert options[0] in capsys.readouterr().err
 
 
 class TestWhatItSays:

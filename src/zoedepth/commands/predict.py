@@ -25,6 +25,7 @@ from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
     from zoedepth.batch import Found, Request
+    from zoedepth.forward.answer import Precision
     from zoedepth.jobs.destinations import Destination
     from zoedepth.jobs.inputs import Sources
     from zoedepth.jobs.place import JobPlace
@@ -92,6 +93,7 @@ def predict(
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
     workers: int | None = None,
+    fast: bool = False,
     overwrite: bool = False,
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     column: str | None = None,
@@ -149,6 +151,9 @@ def predict(
         workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
             needs memory of its own: give 1 for large models where there is little.
         overwrite: predict those photos again, too, that are done.
+        fast: let that compute which does it fastest on this machine, as `zoedepth benchmark` has found it for this
+            model; without that, as is known of the runtimes that are installed. The depth is within 1 %. The first time
+            exports the model to the user's cache.
         shard: do the I-th of N parts of the photos, e.g. 0/4; the other N - 1 commands do the others, on this machine
             or on others that see the same --out.
         column: column of a .csv or .parquet list that has the photos; without it image, photo, path, file, url or such.
@@ -183,6 +188,10 @@ def predict(
         raise InputError("--out - is for one photo: leave --engine out")
     options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
 
+    if fast and precision != "float32":
+        raise InputError("--fast chooses the precision: leave --precision out")
+    if fast and engine == "ray":
+        raise InputError("--fast chooses for this machine, and --engine ray computes on others: leave one of them out")
     streamed = out == STREAM
     part = JobShard() if shard is None else JobShard.parse(shard)
     corrections = None if calibration is None else read_calibration(calibration)
@@ -246,7 +255,24 @@ def predict(
             with download_progress() as progress:
                 # The graphs in the package hold no relative depth.
                 load = load_model if relative else partial(load_for_prediction, device=device)
-                network = load(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
+                numbers: Precision = precision
+                if fast:
+                    from zoedepth.runtimes.fast import load_fast
+
+                    tell = partial(console.print, soft_wrap=True, markup=False)
+                    chosen = load_fast(
+                        model,
+                        compat=compat,
+                        device=device,
+                        streams=n_workers,
+                        metres=not relative,
+                        progress=progress,
+                        tell=tell,
+                    )
+                    tell(f"Fast: {chosen.runtime} ({chosen.why})")
+                    network, numbers, device = chosen.model, chosen.precision, chosen.device
+                else:
+                    network = load(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
             if not network.config.domains:
                 wanted = request(relative=True)
                 if about_metres:
@@ -257,7 +283,7 @@ def predict(
                 flip_average=flip,
                 pad=padded,
                 device="cpu" if engine == "ray" else device,  # the actors have the GPUs
-                precision=precision,
+                precision=numbers,
                 camera=known_camera,
                 focal_correction=None if focal_correction == "model" else focal_correction == "yes",
             )
