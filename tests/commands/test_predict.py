@@ -28,13 +28,15 @@ from zoedepth.outputs import OUTPUTS
 from zoedepth.predict import Predictor
 from zoedepth.runtimes.fast import Fast
 from zoedepth.stored import read_depth
+from zoedepth.weights import load
 
 
 @pytest.fixture(autouse=True)
 def asked(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> dict[str, object]:
     """Every model name gives the tiny model; what it is loaded with is kept."""
     options: dict[str, object] = {}
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **given: options.update(given) or tiny_model)
+    monkeypatch.setattr(load, "load_model", lambda name, **given: options.update(given) or tiny_model)
+    monkeypatch.setattr(load, "load_for_prediction", lambda name, device, **given: load.load_model(name, **given))
     return options
 
 
