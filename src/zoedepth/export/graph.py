@@ -15,7 +15,7 @@ from zoedepth.images import atomic_path
 from zoedepth.weights.load import load_network
 
 _PREFIX = "model."
-"""What stands before the names of the weights in a graph: the model is an attribute of ``ExportModel``."""
+"""Beginning of the names of the weights in a graph: the model is an attribute of ``ExportModel``."""
 
 
 def write_graph(weights: Path) -> Path:
