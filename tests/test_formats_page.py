@@ -12,7 +12,7 @@ from PIL import Image
 
 from zoedepth.cli import main
 from zoedepth.outputs import OUTPUTS, Options
-from zoedepth.outputs.glb import MAX_TEXTURE
+from zoedepth.outputs.surface import MAX_TEXTURE
 from zoedepth.stored import read_depth
 
 PAGE = (Path(__file__).parent.parent / "docs" / "formats.md").read_text(encoding="utf-8")

@@ -220,14 +220,14 @@ class DepthMap:
         .npy, .tif, .tiff and .pfm hold float32 metres, .exr the same as its channel Z, with the photo as R, G and B;
         .npz holds ``depth``, ``std``, ``confidence``, ``valid`` and the ``intrinsics`` of the camera.
 
-        .ply and .pcd hold the points of the valid pixels with colours and normals, .glb the surface as a mesh with the
-        photo on it, all in metres, and .html a page for the browser that shows it. .jpg, .jpeg and .webp hold the
-        preview, a picture.
+        .ply and .pcd hold the points of the valid pixels with colours and normals, .glb and .usdz the surface as a mesh
+        with the photo on it, all in metres, and .html a page for the browser that shows it. .jpg, .jpeg and .webp hold
+        the preview, a picture.
 
         Args:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
-            max_triangles: triangles of a .glb or .html, at most. None keeps all, one or two for each pixel.
+            max_triangles: triangles of a .glb, .usdz or .html, at most. None keeps all, one or two for each pixel.
 
         Raises:
             InputError: another suffix, or there is nothing to make points or a surface of.

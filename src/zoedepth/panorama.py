@@ -98,14 +98,14 @@ class PanoramaMap:
     ) -> None:
         """Write the distances in the format of the suffix, whole or not at all, as ``DepthMap.save`` does.
 
-        Files of depth (.png, .npy, .npz, .exr, .tif, .pfm) hold the distance, along the ray. .glb holds the surface all
-        around with the panorama on it, .html a page for the browser that shows it, .ply and .pcd the points of the
-        valid pixels with colours and normals.
+        Files of depth (.png, .npy, .npz, .exr, .tif, .pfm) hold the distance, along the ray. .glb and .usdz hold the
+        surface all around with the panorama on it, .html a page for the browser that shows it, .ply and .pcd the points
+        of the valid pixels with colours and normals.
 
         Args:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the distance exceeds 65.535 m.
-            max_triangles: triangles of a .glb or .html, at most. None keeps all, two for each pixel.
+            max_triangles: triangles of a .glb, .usdz or .html, at most. None keeps all, two for each pixel.
 
         Raises:
             InputError: another suffix, or there is nothing to make points or a surface of.

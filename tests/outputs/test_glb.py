@@ -12,7 +12,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import build_mesh
 from zoedepth.outputs import Maps, Options
-from zoedepth.outputs.glb import GLB, MAX_TEXTURE, write_glb
+from zoedepth.outputs.glb import GLB, write_glb
 
 GLTF2 = pytest.importorskip("pygltflib").GLTF2
 trimesh = pytest.importorskip("trimesh")
@@ -118,16 +118,6 @@ def test_without_a_photo_has_no_texture(tmp_path: Path) -> None:
     assert len(trimesh.load(tmp_path / "a.glb").geometry) == 1
 
 
-def test_photo_is_reduced_to_what_browsers_show_and_that_is_said(tmp_path: Path) -> None:
-    size = (40, MAX_TEXTURE * 2)
-    maps = Maps(np.ones(size, np.float32), image=np.zeros((*size, 3), np.uint8), camera=Camera.from_focal(5000.0, size))
-    assert "4096 pixels" in " ".join(GLB.write(tmp_path / "a.glb", maps, Options(max_triangles=None)).notes)
-    file = GLTF2().load(str(tmp_path / "a.glb"))
-    view = file.bufferViews[file.images[0].bufferView]
-    with Image.open(BytesIO(file.binary_blob()[view.byteOffset :][: view.byteLength])) as texture:
-        assert texture.size == (MAX_TEXTURE, 20)
-
-
 def test_mesh_that_is_too_large_for_the_format_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A part that says it is larger stands for 4 GiB."""
 
@@ -135,7 +125,7 @@ def test_mesh_that_is_too_large_for_the_format_is_refused(tmp_path: Path, monkey
         def __len__(self) -> int:
             return 1 << 32
 
-    monkeypatch.setattr("zoedepth.outputs.glb._jpeg", lambda image: Large())
+    monkeypatch.setattr("zoedepth.outputs.glb.texture_of", lambda image: Large())
     with pytest.raises(InputError, match="less than 4 GiB"):
         write_glb(tmp_path / "a.glb", PLANE, image=IMAGE)
     assert list(tmp_path.iterdir()) == []

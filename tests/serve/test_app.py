@@ -16,7 +16,9 @@ from zoedepth.serve.settings import Settings
 
 
 class TestDepth:
-    @pytest.mark.parametrize("kind", ["depth", "exr", "npz", "ply", "glb", "tiff", "pfm", "npy", "preview", "color"])
+    @pytest.mark.parametrize(
+        "kind", ["depth", "exr", "npz", "ply", "glb", "usdz", "tiff", "pfm", "npy", "preview", "color"]
+    )
     def test_the_file_is_that_of_the_command_line_to_the_last_byte(
         self, kind: str, client: Client, predictor: Predictor, tmp_path: Path
     ) -> None:
@@ -135,7 +137,8 @@ class TestDepth:
         assert content.count(b"SECRET") >= 3
         told = client.ask("/v1/depth?format=json", content)
         assert told.json["camera"]["source"] == "exif"
-        for kind in ("png", "exr", "npz", "ply", "glb", "json", "tiff", "pfm", "npy", "pcd", "html", "jpg", "maps"):
+        kinds = ("png", "exr", "npz", "ply", "glb", "usdz", "json", "tiff", "pfm", "npy", "pcd", "html", "jpg", "maps")
+        for kind in kinds:
             answer = client.ask(f"/v1/depth?format={kind}", content)
             assert answer.status == 200
             assert b"SECRET" not in answer.body

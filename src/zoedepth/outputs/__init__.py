@@ -22,6 +22,7 @@ from zoedepth.outputs.ply import PLY
 from zoedepth.outputs.preview import PREVIEW
 from zoedepth.outputs.relative import RELATIVE
 from zoedepth.outputs.tiff import TIFF
+from zoedepth.outputs.usdz import USDZ
 
 __all__ = ["OUTPUTS", "Maps", "Options", "Output", "Written", "output_names", "write_maps"]
 
@@ -38,6 +39,7 @@ OUTPUTS: dict[str, Output] = {
     "ply": PLY,
     "pcd": PCD,
     "glb": GLB,
+    "usdz": USDZ,
     "html": HTML,
 }
 

@@ -6,28 +6,20 @@ quality 75, and has no material that shows a photo in its own light.
 
 import json
 import math
-from io import BytesIO
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
-from PIL import Image
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
-from zoedepth.geometry.mesh import Mesh, build_mesh
-from zoedepth.geometry.panorama import build_panorama_mesh
+from zoedepth.geometry.mesh import Mesh
 from zoedepth.images import OWN_MARK, ImageArray, atomic_path
-from zoedepth.outputs.output import Maps, Options, Output, Written, needed
+from zoedepth.outputs.output import Maps, Options, Output, Written
+from zoedepth.outputs.surface import Y_UP, check_surface, surface_of, texture_of, written_surface
 
-MAX_TEXTURE = 4096
-"""The longest side of the photo on a mesh, in pixels: what phones and browsers can show."""
-
-_REDUCED = f"the photo on the mesh has {MAX_TEXTURE} pixels on its longer side, as many as all browsers show"
-_GLTF_AXES = np.array([1, -1, -1], np.float32)  # half a turn about x: from y down, z forward to y up, z backward
-_QUALITY = 90
 # Numbers of the standard (glTF 2.0): types of numbers, kinds of buffers, filters and edges of textures.
 _UINT32, _FLOAT32, _VERTICES, _INDICES = 5125, 5126, 34962, 34963
 _LINEAR, _LINEAR_MIPMAP, _REPEAT, _CLAMP = 9729, 9987, 10497, 33071
@@ -43,17 +35,16 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
     Args:
         path: where to write; missing folders are made.
         mesh: triangles in OpenCV's axes.
-        image: the photo, RGB, of any size: the texture; reduced to ``MAX_TEXTURE`` pixels where it is larger.
+        image: the photo, RGB, of any size: the texture; reduced to ``surface.MAX_TEXTURE`` pixels where it is larger.
 
     Raises:
         InputError: the mesh has no triangle, or takes 4 GiB and more.
     """
-    if not len(mesh.faces):
-        raise InputError("the depth makes no surface, for no two neighbouring pixels see the same one: save its points")
+    check_surface(mesh)
     arrays = {
         "indices": mesh.faces.astype("<u4").reshape(-1),
-        "POSITION": (mesh.vertices * _GLTF_AXES).astype("<f4"),
-        "NORMAL": (_unit_normals(mesh) * _GLTF_AXES).astype("<f4"),
+        "POSITION": (mesh.vertices * Y_UP).astype("<f4"),
+        "NORMAL": (_unit_normals(mesh) * Y_UP).astype("<f4"),
         "TEXCOORD_0": mesh.uv.astype("<f4"),
     }
     document: dict[str, Any] = {
@@ -79,7 +70,7 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
             "samplers": [{"magFilter": _LINEAR, "minFilter": _LINEAR_MIPMAP, "wrapS": around, "wrapT": _CLAMP}],
             "textures": [{"source": 0, "sampler": 0}],
         }
-        parts.append(_jpeg(image))
+        parts.append(texture_of(image))
     _write_container(path, document, parts, targets=[_INDICES, _VERTICES, _VERTICES, _VERTICES])
 
 
@@ -169,23 +160,10 @@ def _about(camera: Camera) -> dict[str, object]:
     return {"intrinsics": camera.matrix.tolist(), "size": list(camera.size), "cameraSource": camera.source}
 
 
-def _jpeg(image: ImageArray) -> bytes:
-    picture = Image.fromarray(image)
-    picture.thumbnail((MAX_TEXTURE, MAX_TEXTURE), Image.Resampling.LANCZOS)
-    file = BytesIO()
-    picture.save(file, format="JPEG", quality=_QUALITY)
-    return file.getvalue()
-
-
 def _write(path: Path, maps: Maps, options: Options) -> Written:
-    depth, most = needed(maps, "depth"), options.max_triangles
-    if maps.panorama:
-        mesh = build_panorama_mesh(depth, valid=maps.valid, max_triangles=most)
-    else:
-        mesh = build_mesh(depth, needed(maps, "camera"), valid=maps.valid, max_triangles=most)
+    mesh = surface_of(maps, options.max_triangles)
     write_glb(path, mesh, image=maps.image)
-    reduced = maps.image is not None and max(maps.image.shape) > MAX_TEXTURE
-    return Written({"triangles": len(mesh.faces)}, (_REDUCED,) if reduced else ())
+    return written_surface(mesh, maps)
 
 
 GLB = Output(".glb", "the surface as a mesh with the photo on it", _write, suffixes=(".glb",))

@@ -34,6 +34,7 @@ _OUTPUT_TYPES = {
     "npz": "application/x-npz",
     "ply": "application/x-ply",
     "glb": "model/gltf-binary",
+    "usdz": "model/vnd.usdz+zip",
     "tiff": "image/tiff",
     "pfm": "image/x-portable-floatmap",
     "npy": "application/x-npy",

@@ -124,7 +124,7 @@ class DepthQuery(CalibratedQuery):
         "magma", "magma_r", "turbo", "turbo_r", "gray", "gray_r", "Spectral", "Spectral_r"
     ] = Field("magma_r", description="Colours of preview and color.")  # fmt: skip
     max_triangles: Annotated[int, Field(ge=1, le=10_000_000)] = Field(
-        500_000, description="Triangles of a mesh (glb, html), at most."
+        500_000, description="Triangles of a mesh (glb, usdz, html), at most."
     )
 
     def options(self) -> Options:

@@ -33,7 +33,7 @@ _NOT_READ = {
     **dict.fromkeys((".bmp", ".gif", ".tga", ".ppm"), "has 8 bits a pixel"),
     **dict.fromkeys((".h5", ".hdf5", ".mat"), "may hold many arrays"),
     **dict.fromkeys((".ply", ".pcd", ".las"), "holds points and not a map"),
-    **dict.fromkeys((".glb", ".gltf", ".obj"), "holds a surface and not a map"),
+    **dict.fromkeys((".glb", ".gltf", ".obj", ".usdz"), "holds a surface and not a map"),
     **dict.fromkeys((".bin", ".raw", ".dat"), "does not say its size and type"),
 }
 # What pictures of other modes than one channel of numbers may be.
