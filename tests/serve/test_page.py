@@ -7,12 +7,15 @@ of the photo has a colour of its own, so that a picture of the screen tells whic
 import io
 import json
 import re
+from ast import literal_eval
+from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -175,10 +178,33 @@ def phone(browser: "Browser", service_url: str) -> Iterator[Visit]:
 
 
 @pytest.fixture
+def in_room(browser: "Browser", service_url: str) -> Iterator[Visit]:
+    """A phone that shows the room around by WebXR, as far as a script can be one."""
+    context = browser.new_context(viewport={"width": 360, "height": 740})
+    context.add_init_script(path=FAKE_ROOM)
+    yield from visited(context.new_page(), service_url)
+    context.close()
+
+
+@pytest.fixture
+def with_quick_look(browser: "Browser", service_url: str) -> Iterator[Visit]:
+    """A browser that says it opens links in AR, as Safari on a phone does."""
+    context = browser.new_context(viewport={"width": 360, "height": 740})
+    context.add_init_script(KNOWS_AR)
+    yield from visited(context.new_page(), service_url)
+    context.close()
+
+
+@pytest.fixture
 def service(desktop: "Page", service_url: str) -> Service:
     return Service(service_url, desktop.request)
 
 
+FAKE_ROOM = Path(__file__).parent / "fake_room.js"
+KNOWS_AR = """
+  const {supports} = DOMTokenList.prototype;
+  DOMTokenList.prototype.supports = function (token) { return token === "ar" || supports.call(this, token); };
+"""
 REFUSES_AR = """
   window.asked = [];
   Object.defineProperty(navigator, "xr", {value: {
@@ -229,6 +255,12 @@ def shows_something(scene: np.ndarray) -> bool:
     """Return True where a good part of a scene is not background, and of several colours."""
     lit = (np.abs(scene.astype(int) - (20, 25, 26)).max(axis=-1) > 20).mean()
     return bool(lit > 0.15 and scene.reshape(-1, 3).std(axis=0).min() > 10)
+
+
+def room_seen(visit: Visit) -> np.ndarray:
+    """Return what is drawn over the room around: RGBA."""
+    height, width, pixels = visit.page.evaluate("fakeRoom.look()")
+    return np.frombuffer(b64decode(pixels), np.uint8).reshape(height, width, 4)[::-1]
 
 
 def in_metres(text: str) -> float:
@@ -433,6 +465,82 @@ class TestPage:
         assert found
         assert int(found[1].replace(",", "")) > 1000
         assert float(found[2]) == pytest.approx(np.ptp(across), rel=0.02)
+        # This device shows no room around: the page offers files for one that does.
+        assert not visit.page.is_visible("#augmented")
+        assert not visit.page.is_visible("#quick-look")
+        assert "USDZ opens there on an iPhone" in visit.text("#room-elsewhere")
+
+    def test_room_around_shows_the_scene_at_its_true_size(self, in_room: Visit, service: Service) -> None:
+        in_room.upload()
+        assert not in_room.page.is_visible("#room-elsewhere")
+        in_room.page.click("#show-space")
+        in_room.page.click("#show-surface")
+        in_room.page.wait_for_selector("#extent:has-text('triangles')")
+        wide, high, deep = (float(length) for length in re.findall(r"([\d.]+) m ", in_room.text("#extent")))
+        in_room.page.evaluate("Object.assign(fakeRoom, {place: [0.3, -0.1, 0.2], yaw: 0.7})")
+        in_room.page.click("#augmented")
+        in_room.page.wait_for_selector("#room-hint:has-text('Tap the floor')")
+        assert in_room.page.evaluate("fakeRoom.asked") == [["immersive-ar", ["hit-test", "dom-overlay"], "room"]]
+
+        # First the camera of the photo is where the phone is, and looks where the phone looks.
+        first = room_seen(in_room)
+        (fx, _, cx), (_, fy, cy), _ = service.arrays()["intrinsics"]
+        rows, columns = np.nonzero(first[..., 3] == 255)
+        assert len(rows) > 0.3 * first[..., 3].size
+        focal = in_room.page.evaluate("fakeRoom.focal")
+        height, width = first.shape[:2]
+        photographed = (columns + 0.5 - width / 2) / focal * fx + cx, (rows + 0.5 - height / 2) / focal * fy + cy
+        told = first[rows, columns, 0] / 2, first[rows, columns, 1] / 3  # by the colours of the photo
+        assert np.median(np.abs(np.subtract(told, photographed)), axis=1).max() < 1.5
+
+        # A tap puts its foot there. From far away, by a long lens, everything of it is as far.
+        far, focal = 200, 200 * min(100 / wide, 130 / high)
+        in_room.page.evaluate(
+            "values => Object.assign(fakeRoom, values)",
+            {"place": [0, 0, 0], "yaw": 0, "focal": focal, "surface": [0, -high / 2, -far]},
+        )
+        in_room.page.evaluate("fakeRoom.tap()")
+        rows, columns = np.nonzero(room_seen(in_room)[..., 3])
+        for places, length, middle in ((rows, high, height / 2), (columns, wide, width / 2)):
+            rounding = 0.03 + deep / far
+            assert np.ptp(places) + 1 == pytest.approx(length * focal / far, rel=rounding, abs=2)
+            assert (places.min() + places.max() + 1) / 2 == pytest.approx(
+                middle, abs=2 + rounding * length * focal / far
+            )
+
+        in_room.page.evaluate("fakeRoom.surface = null")
+        in_room.page.evaluate("fakeRoom.tap()")
+        assert "No surface is known" in in_room.text("#room-hint")
+        in_room.page.evaluate("Object.assign(fakeRoom, {place: [2, 0, 5], yaw: -2, focal: 150})")
+        in_room.page.click("#room-again")
+        np.testing.assert_allclose(room_seen(in_room).astype(int), first, atol=2)
+        in_room.page.click("#room-leave")
+        assert in_room.page.evaluate("fakeRoom.session") is None
+        assert not in_room.page.is_visible("#room")
+        waits_until(lambda: shows_something(in_room.picture("#scene")[60:-40]))
+
+    def test_quick_look_gets_the_surface(self, with_quick_look: Visit, service: Service) -> None:
+        visit = with_quick_look
+        visit.upload()
+        assert not visit.page.is_visible("#room-elsewhere")
+        visit.page.click("#show-space")
+        with visit.page.expect_download() as download:
+            visit.page.click("#augmented")
+        content = download.value.path().read_bytes()
+        assert download.value.suggested_filename == "pixels.usdz"
+        assert content == service.post("v1/depth?format=usdz&max_triangles=150000").body()
+        link = "document.getElementById('quick-look')"
+        assert visit.page.is_visible("#quick-look")
+        assert visit.page.get_attribute("#quick-look", "rel") == "ar"
+        assert visit.page.evaluate(f"[...{link}.children].map((part) => part.tagName)") == ["IMG"], "as Safari asks for"
+        href = visit.page.evaluate(f"{link}.href")
+        assert re.fullmatch(r"blob:.*#allowsContentScaling=0", href)
+        kind = visit.page.evaluate("(url) => fetch(url).then((answer) => answer.blob()).then(({type}) => type)", href)
+        assert kind == "model/vnd.usdz+zip"
+        visit.page.fill("#fov", "50")
+        visit.settled()
+        assert not visit.page.is_visible("#quick-look"), "it is of another depth"
+        assert visit.page.is_visible("#augmented")
 
     def test_downloads_hold_the_same_depth(self, visit: Visit, service: Service, tmp_path: Path) -> None:
         visit.upload()
@@ -466,8 +574,12 @@ class TestPage:
         (surface,) = trimesh.load(download("glb"), process=False).geometry.values()
         assert len(surface.faces) > 1000
         check_points(np.asarray(surface.vertices, np.float64) * (1, -1, -1))
+        with ZipFile(download("usdz")) as archive:
+            points = re.search(r"point3f\[\] points = (\[.*?\])", archive.read("photo.usda").decode())
+        assert points
+        np.testing.assert_allclose(literal_eval(points[1]), surface.vertices, atol=1e-6)
         assert sorted(path.name for path in tmp_path.iterdir()) == [
-            "pixels.exr", "pixels.glb", "pixels.npz", "pixels.ply", "pixels_depth.png",
+            "pixels.exr", "pixels.glb", "pixels.npz", "pixels.ply", "pixels.usdz", "pixels_depth.png",
         ]  # fmt: skip
 
     def test_works_on_a_phone(self, phone: Visit, service: Service) -> None:

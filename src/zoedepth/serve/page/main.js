@@ -8,6 +8,8 @@ import {byId, element, press, save} from "./dom.js";
 import {drawBar, drawRuler, markBar, showReading} from "./legend.js";
 import {Pins} from "./pins.js";
 import {programs} from "./program.js";
+import {hasQuickLook, QuickLook} from "./quick-look.js";
+import {canShowRoom, Room} from "./room.js";
 import {Scene} from "./scene.js";
 import {Viewer} from "./viewer.js";
 
@@ -20,6 +22,7 @@ const FILES = [
   {format: "npz", name: "NPZ", ending: ".npz", what: "all arrays"},
   {format: "ply", name: "PLY", ending: ".ply", what: "points"},
   {format: "glb", name: "GLB", ending: ".glb", what: "surface"},
+  {format: "usdz", name: "USDZ", ending: ".usdz", what: "for iPhones"},
 ];
 const CALIBRATION_ENDING = "_calibration.json";
 
@@ -28,6 +31,13 @@ const viewer = new Viewer(byId("stage"), byId("picture"), byId("splitter"));
 const pins = new Pins({viewer, list: byId("pins"), marks: byId("marks"), lines: byId("lines")});
 const cameraPanel = new CameraPanel();
 const scene = new Scene(byId("scene"));
+const room = new Room(scene, {
+  overlay: byId("room"),
+  hint: byId("room-hint"),
+  again: byId("room-again"),
+  leave: byId("room-leave"),
+});
+const quickLook = new QuickLook(byId("augmented"), byId("quick-look"));
 
 const state = {
   photo: null, // {blob, name, picture}
@@ -73,6 +83,7 @@ async function open(blob, name) {
   byId("unshown").hidden = true;
   byId("about").textContent = name;
   scene.otherPhoto = true;
+  quickLook.drop();
   showSpace(null);
   byId("start").hidden = true;
   byId("work").hidden = false;
@@ -197,6 +208,7 @@ async function ask() {
     const answer = await service.maps(question(), options);
     if (mine.signal.aborted) return;
     Object.assign(state, {facts: answer.facts, depth: answer.depth, surface: null});
+    quickLook.drop();
     learnReference(answer.facts);
     hideProblem();
     showAnswer();
@@ -399,8 +411,33 @@ async function showSpace(kind) {
     if (state.depth !== depth || state.space !== kind) return; // something else is wanted by now
     what = `${Math.round(await scene.showSurface(state.surface, depth)).toLocaleString("en")} triangles`;
   }
+  byId("augmented").disabled = false;
   const [width, height, far] = scene.extent.map(metres);
   byId("extent").textContent = `${what}; ${width} wide, ${height} high, ${far} deep`;
+}
+
+/** Find out how this device shows the scene in the room around, and offer it, or say which other one does. */
+async function offerRoom() {
+  const button = byId("augmented"),
+    quick = hasQuickLook();
+  button.disabled = !quick; // until there is something to show
+  button.hidden = !quick && !(await canShowRoom());
+  byId("room-elsewhere").hidden = !button.hidden;
+  button.addEventListener("click", () => guarded(quick ? openQuickLook : enterRoom));
+}
+
+async function enterRoom() {
+  try {
+    await room.enter();
+  } catch (error) {
+    throw new Problem({title: "This room cannot be shown", detail: error.message, status: null});
+  }
+}
+
+async function openQuickLook() {
+  const {depth} = state;
+  const usdz = await fetchFile("usdz", {max_triangles: SURFACE_TRIANGLES});
+  if (state.depth === depth) quickLook.open(usdz, stem());
 }
 
 // ---------------------------------------------------------------------------------------------- files and programs
@@ -418,8 +455,12 @@ async function fetchFile(format, query = {}) {
   }
 }
 
+/** The name of the photo's file without its ending. */
+function stem() {
+  return state.photo.name.replace(/\.[^.]*$/, "");
+}
+
 function listFiles(formats) {
-  const stem = () => state.photo.name.replace(/\.[^.]*$/, "");
   const tile = (name, what, action) => {
     const button = element("button", {type: "button"}, name, element("small", {textContent: what}));
     button.addEventListener("click", () => guarded(action));
@@ -512,7 +553,6 @@ function listen() {
   byId("show-cloud").addEventListener("click", () => guarded(() => showSpace("cloud")));
   byId("show-surface").addEventListener("click", () => guarded(() => showSpace("surface")));
   byId("home").addEventListener("click", () => scene.home());
-  byId("augmented").addEventListener("click", () => guarded(() => scene.augment()));
   byId("stop").addEventListener("click", () => running?.abort());
   byId("problem-close").addEventListener("click", hideProblem);
   byId("show-curl").addEventListener("click", () => {
@@ -548,7 +588,5 @@ async function start() {
 }
 
 listen();
-Scene.canAugment().then((can) => {
-  byId("augmented").hidden = !can;
-});
+offerRoom();
 guarded(start);

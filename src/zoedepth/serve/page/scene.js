@@ -61,7 +61,7 @@ export class Scene {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(places.slice(0, 3 * n), 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(shades.slice(0, 3 * n), 3));
-    // As large as the gaps between them: a point stands for step x step pixels of its depth.
+    // A point stands for step x step pixels of its depth: sizePoints.
     const material = new THREE.PointsMaterial({vertexColors: true, size: 1, sizeAttenuation: false});
     this.pointStep = step;
     this.replace(new THREE.Points(geometry, material), depth);
@@ -131,11 +131,14 @@ export class Scene {
     const tangent = Math.max(this.depth.height / 2 / fy, this.depth.width / 2 / fx / this.camera.aspect);
     this.camera.fov = (2 * Math.atan(tangent) * 180) / Math.PI;
     this.camera.updateProjectionMatrix();
-    const focal = height / 2 / tangent; // CSS pixels
-    if (this.content?.isPoints) {
-      this.content.material.size = Math.max(1.2, (1.4 * this.pointStep * focal) / fy) * this.renderer.getPixelRatio();
-    }
+    this.sizePoints(height / 2 / tangent);
     this.draw();
+  }
+
+  /** Make points as large as the gaps between them, for a picture of this focal length in CSS pixels. */
+  sizePoints(focal) {
+    if (!this.content.isPoints) return;
+    this.content.material.size = Math.max(1.2, (1.4 * this.pointStep * focal) / this.depth.camera.fy);
   }
 
   /** Draw at the next frame, once, however much has changed: a page at rest costs nothing. */
@@ -146,32 +149,6 @@ export class Scene {
       this.requested = false;
       if (!this.renderer.xr.isPresenting) this.renderer.render(this.world, this.camera);
     });
-  }
-
-  /** True where the browser can put the scene into the room around: WebXR, by https or from this machine itself. */
-  static async canAugment() {
-    try {
-      return Boolean(await navigator.xr?.isSessionSupported("immersive-ar"));
-    } catch {
-      return false; // forbidden by a setting
-    }
-  }
-
-  /** Put the scene into the room around, at true scale: the camera of the photo is where the device is now. */
-  async augment() {
-    const session = await navigator.xr.requestSession("immersive-ar");
-    const {xr} = this.renderer;
-    xr.enabled = true;
-    xr.setReferenceSpaceType("local");
-    this.renderer.setClearAlpha(0);
-    session.addEventListener("end", () => {
-      this.renderer.setAnimationLoop(null);
-      xr.enabled = false;
-      this.renderer.setClearColor(BACKGROUND);
-      this.home();
-    });
-    await xr.setSession(session);
-    this.renderer.setAnimationLoop(() => this.renderer.render(this.world, this.camera));
   }
 }
 
