@@ -25,7 +25,7 @@ ROWS = (
     Row("torch, float16, GPU", 0.01, 0.01, 0.02, 99.0, 900.0, 1200.0, 9.0, 0.02),
 )
 CHOICE = Choice("OpenVINO, float32", "fastest", "00ff", MACHINE, {"zoedepth": "1"}, "2026-01-31", rows=ROWS)
-RESULT = Benchmark(ROWS, CHOICE, (Path("a.jpg"), Path("b.jpg")), (Path("c.jpg"),))
+RESULT = Benchmark(ROWS, CHOICE, (Path("a.jpg"), Path("b.jpg")), (Path("c.jpg"),), 0.005)
 
 
 @pytest.fixture(autouse=True)
@@ -73,7 +73,10 @@ def test_plain_lines_where_nobody_looks(asked: dict[str, Any], capsys: pytest.Ca
     assert rows[1].split() == ["OpenVINO,", "float32", "0.125", "0.100", "-", "0.200", "15.25", "3.0", "1.2e-06"]
     assert rows[2].endswith("  not installed: pip install 'zoedepth[openvino]'")
     assert rows[3].endswith("1200 MB on the GPU")
-    assert "A processor, 2 cores" in rows[4]
+    assert rows[4] == (
+        "A processor, 2 cores. REL: the largest of 2 photos, against torch in float32; chosen up to 0.5% (1% with 8 "
+        "photos: --photos)."
+    )
     assert rows[5] == "Chosen: OpenVINO, float32, 15.25 photos a second, REL 1.2e-06."
     assert rows[6] == "To use it: zoedepth predict PHOTOS --out FOLDER --fast"
     assert said.err == "One photo at a time, 1 of [2]\n"

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from zoedepth.errors import InputError
+from zoedepth.export.write import ExportError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.runtimes import benchmark as benchmarks
 from zoedepth.runtimes.benchmark import EXAMPLES, Benchmark, benchmark, free_memory, measure, split
@@ -180,6 +181,8 @@ def nothing_exported(monkeypatch: pytest.MonkeyPatch, machine: Machine) -> list[
         made.append((runtime.name, tuple(photos)))
         if runtime.name == BFLOAT16:
             raise InputError("the disk is full")
+        if runtime.name == "ONNX Runtime, float32":
+            raise ExportError("it gives other depth than torch")
         return Path(f"{runtime.name}.xml")
 
     monkeypatch.setattr(benchmarks, "exported_file", export)
@@ -196,12 +199,14 @@ def test_table_and_choice(
     weights: Path, photos: list[Path], nothing_exported: list[tuple[str, tuple[Path, ...]]], machine: Machine
 ) -> None:
     stage = Stage(
-        {OPENVINO: Said(rate=8.0, depth=5.04), INT8: Said(rate=20.0), "torch, bfloat16": Said(rate=9, depth=6)}
+        {OPENVINO: Said(rate=8.0, depth=5.02), INT8: Said(rate=20.0), "torch, bfloat16": Said(rate=9, depth=6)}
     )
     result = benchmark(weights, photos=photos, start=stage.start, repeats=1, compat=["squeeze"])
     assert [row.runtime for row in result.rows] == list(RUNTIMES)
     rows = by_name(result)
     assert (rows[BFLOAT16].problem, rows[BFLOAT16].failed) == ("the disk is full", True)
+    onnx = rows["ONNX Runtime, float32"]
+    assert (onnx.problem, onnx.failed) == ("it gives other depth than torch", False)  # an answer
     assert (rows["torch, float16, GPU"].problem, rows["torch, float16, GPU"].failed) == ("no GPU here", False)
     # Two photos: int8 was calibrated on those that it is compared on, and cannot be believed.
     assert rows[INT8].doubt
@@ -285,6 +290,7 @@ def test_photos_are_split_into_those_to_compare_on_and_others(number: int) -> No
     assert 1 <= len(calibrated) <= 300
     assert compared[0] == photos[0]
     assert bool(set(compared) & set(calibrated)) == (number < 4)
+    assert (len(compared) == 8) == (number >= 16)
 
 
 def test_photos_of_the_package_are_there() -> None:

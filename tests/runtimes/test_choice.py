@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.runtimes.choice import Choice, Row, fastest, read_choice, write_choice
+from zoedepth.runtimes.choice import Choice, Row, allowed_rel, fastest, read_choice, write_choice
 from zoedepth.runtimes.machine import Machine
 
 VERSIONS = {"zoedepth": "1", "openvino": None}
@@ -35,6 +35,12 @@ BASE = row("torch, float32", 10.0, 0.0)
 )
 def test_the_fastest_that_is_close_enough(rows: list[Row], expected: str) -> None:
     assert fastest(rows).runtime == expected
+
+
+def test_few_photos_say_little_of_others() -> None:
+    rows = [BASE, row("a", 20.0, 0.009)]
+    assert fastest(rows, max_rel=allowed_rel(8)).runtime == "a"
+    assert fastest(rows, max_rel=allowed_rel(7)) == BASE
 
 
 def test_nothing_to_choose_from_is_an_error() -> None:

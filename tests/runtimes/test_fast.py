@@ -162,7 +162,7 @@ class TestDecide:
         [
             (SLOW, 0.0, 9.0, "OpenVINO, float32"),  # not even tried
             (QUICK, 0.002, 1.5, "OpenVINO, bfloat16"),
-            (QUICK, 0.011, 1.5, "OpenVINO, float32"),
+            (QUICK, 0.006, 1.5, "OpenVINO, float32"),
             (QUICK, 0.002, 1.05, "OpenVINO, float32"),
             (QUICK, float("inf"), 2.0, "OpenVINO, float32"),
         ],

@@ -44,12 +44,13 @@ def benchmark(
 
     Rows of the table are torch, ONNX Runtime and OpenVINO, in float32, bfloat16 and 8 bits, and torch on a GPU. Each
     has a process of its own, and they take turns. The fastest is chosen whose depth is within 1 % REL of torch's in
-    float32 on every photo; it holds for these weights, on this machine, with these versions. Exported files and the
-    choice are in the user's cache. Exit codes: 0 done, 1 a runtime has failed, 2 wrong input, 130 interrupted.
+    float32 on each of eight photos, or 0.5 % on each of fewer. It holds for these weights, on this machine, with these
+    versions. Exported files and the choice are in the user's cache. Exit codes: 0 done, 1 a runtime has failed, 2 wrong
+    input, 130 interrupted.
 
     Args:
         model: a name of `zoedepth models`, a file or folder of weights, or a Hugging Face id.
-        photos: folder of photos like those that the model will see, for the comparison; without it, three photos of the
+        photos: folder of photos like those that the model will see, best 16 or more; without it, three photos of the
             package. Of four and more, int8 is calibrated on other ones than it is compared on, and only then it can be
             chosen. The first one is timed.
         repeats: photos that are timed in each runtime.
@@ -166,8 +167,14 @@ def _cells(row: "Row") -> tuple[str, ...]:
 
 def _told(result: "Benchmark", model: str) -> "Iterator[str]":
     """Yield what there is to say below the table."""
+    from zoedepth.runtimes.choice import ENOUGH_PHOTOS, MAX_REL
+
     choice = result.choice
-    yield f"{choice.machine}. REL: the largest of {len(result.compared)} photos, against torch in float32."
+    few = "" if len(result.compared) >= ENOUGH_PHOTOS else f" ({MAX_REL:.0%} with {ENOUGH_PHOTOS} photos: --photos)"
+    yield (
+        f"{choice.machine}. REL: the largest of {len(result.compared)} photos, against torch in float32; chosen up to "
+        f"{result.max_rel:.1%}{few}."
+    )
     chosen = next(row for row in result.rows if row.runtime == choice.runtime)
     yield f"Chosen: {choice.runtime}, {chosen.photos_a_second:.2f} photos a second, REL {chosen.difference:.1e}."
     yield f"To use it: zoedepth predict PHOTOS --out FOLDER --fast{'' if model == 'zoed-lite' else f' --model {model}'}"

@@ -10,7 +10,7 @@ from typing import Any
 from zoedepth.download import Progress
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.images import DepthArray, read_image
-from zoedepth.runtimes.choice import Choice, Row, fastest
+from zoedepth.runtimes.choice import ENOUGH_PHOTOS, Choice, Row, allowed_rel, fastest
 from zoedepth.runtimes.exports import exported_file, find_source, packaged_graph
 from zoedepth.runtimes.machine import Machine, this_machine, versions
 from zoedepth.runtimes.runtime import BASE, RUNTIMES, Runtime
@@ -22,8 +22,8 @@ EXAMPLES = tuple(
 )
 """The photos of the package."""
 
-COMPARED, MAX_CALIBRATION = 8, 300
-"""Photos whose depth is compared, and photos that int8 is calibrated on, at most."""
+MAX_CALIBRATION = 300
+"""Photos that int8 is calibrated on, at most."""
 
 MEMINFO = Path("/proc/meminfo")
 
@@ -42,6 +42,8 @@ class Benchmark:
     """Photos whose depth was compared."""
     calibrated: tuple[Path, ...]
     """Photos that int8 was calibrated on."""
+    max_rel: float
+    """Largest REL with which a row could be chosen."""
 
 
 def benchmark(
@@ -111,7 +113,9 @@ def benchmark(
             try:
                 file = exported_file(source, runtime, photos=calibrated if runtime.numbers == "int8" else (), tell=say)
             except (ZoeDepthError, OSError) as error:
-                rows[runtime.name] = Row(runtime.name, problem=str(error), failed=True)
+                # That it computes another depth is no failure, but an answer.
+                failed = isinstance(error, InputError | OSError)
+                rows[runtime.name] = Row(runtime.name, problem=str(error), failed=failed)
                 continue
         works.append(Work(runtime, file, source.compat, flip_average, compared, at_once or machine.cores))
     measured = measure(works, repeats=repeats, start=start, tell=say)
@@ -124,7 +128,8 @@ def benchmark(
             doubt=_SAME_PHOTOS if in_doubt else "",
         )
     table = tuple(rows.values())
-    return Benchmark(table, _choice(table, source.weights, machine), compared, calibrated)
+    max_rel = allowed_rel(len(compared))
+    return Benchmark(table, _choice(table, max_rel, source.weights, machine), compared, calibrated, max_rel)
 
 
 def split(photos: Sequence[Path]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
@@ -132,14 +137,14 @@ def split(photos: Sequence[Path]) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     photos = tuple(photos)
     if len(photos) < 4:
         return photos, photos
-    step = max(2, -(-len(photos) // COMPARED))
-    compared = photos[::step]
-    others = [photo for number, photo in enumerate(photos) if number % step]
+    step = max(2, len(photos) // ENOUGH_PHOTOS)
+    compared = photos[::step][:ENOUGH_PHOTOS]
+    others = [photo for photo in photos if photo not in compared]
     return compared, tuple(others[:: -(-len(others) // MAX_CALIBRATION)])
 
 
-def _choice(rows: tuple[Row, ...], weights: str, machine: Machine) -> Choice:
-    chosen = fastest(rows)
+def _choice(rows: tuple[Row, ...], max_rel: float, weights: str, machine: Machine) -> Choice:
+    chosen = fastest(rows, max_rel=max_rel)
     why = (
         f"fastest of zoedepth benchmark here, {chosen.photos_a_second:.3g} photos a second, REL {chosen.difference:.1e}"
     )

@@ -12,8 +12,9 @@ from zoedepth.runtimes.machine import Machine
 from zoedepth.runtimes.runtime import RUNTIMES
 from zoedepth.stored import read_json, to_json
 
-MAX_REL = 0.01
-"""Largest REL of a photo's depth, against that of torch in float32, with which a runtime may be chosen."""
+MAX_REL, ENOUGH_PHOTOS = 0.01, 8
+"""Largest REL of a photo's depth, against that of torch in float32, with which a runtime may be chosen, and the number
+of photos that this takes. Of fewer it is half as large, because others may differ more."""
 
 _AS_FAST = 0.03
 """Runtimes this little slower than the fastest are as fast; of these the one is chosen that differs least."""
@@ -50,23 +51,27 @@ class Row:
     doubt: str = ""
     """The reason why it cannot be chosen whatever it differs by; empty where it can."""
 
-    @property
-    def can_be_chosen(self) -> bool:
-        """True if it ran, and its depth is as good as that of torch in float32."""
-        return bool(self.photos_a_second) and _is_close(self.difference) and not self.doubt
+    def fits(self, max_rel: float) -> bool:
+        """Return True if it ran, and its depth differs by no more than a REL."""
+        return self.difference is not None and self.difference <= max_rel and not self.doubt
 
 
-def _is_close(difference: float | None) -> bool:
-    return difference is not None and difference <= MAX_REL
+def allowed_rel(n_photos: int) -> float:
+    """Return the largest REL with which a runtime may be chosen that was compared on a number of photos."""
+    return MAX_REL if n_photos >= ENOUGH_PHOTOS else MAX_REL / 2
 
 
-def fastest(rows: Sequence[Row]) -> Row:
-    """Return the row that is chosen: the fastest that can be, and of those that are as fast the closest.
+def fastest(rows: Sequence[Row], *, max_rel: float = MAX_REL) -> Row:
+    """Return the row that is chosen: the fastest that fits, and of those that are as fast the closest.
+
+    Args:
+        rows: the table.
+        max_rel: see ``allowed_rel``.
 
     Raises:
         InputError: none can be chosen.
     """
-    fit = [row for row in rows if row.can_be_chosen]
+    fit = [row for row in rows if row.fits(max_rel)]
     if not fit:
         problems = "; ".join(f"{row.runtime}: {row.problem}" for row in rows if row.failed)
         raise InputError(f"no runtime has given a depth: {problems or 'none is installed'}")

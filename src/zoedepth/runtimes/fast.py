@@ -23,7 +23,7 @@ from zoedepth.forward.answer import Precision
 from zoedepth.images import read_image
 from zoedepth.predict import Predictor
 from zoedepth.runtimes.benchmark import EXAMPLES
-from zoedepth.runtimes.choice import MAX_REL, Choice, read_choice, write_choice
+from zoedepth.runtimes.choice import Choice, allowed_rel, read_choice, write_choice
 from zoedepth.runtimes.exports import Source, exported_file, find_source, packaged_graph
 from zoedepth.runtimes.machine import Machine, this_machine, versions
 from zoedepth.runtimes.products import products
@@ -190,7 +190,7 @@ def decide(
                 reasons.append(f"bfloat16 failed: {error}")
             else:
                 reasons.append(f"the model is {times:.2f} times as fast, with a REL of {rel:.1e}")
-                if rel <= MAX_REL and times >= _WORTH_IT:
+                if rel <= allowed_rel(len(EXAMPLES)) and times >= _WORTH_IT:
                     chosen = half
     choice = Choice(
         chosen.name,
