@@ -2,7 +2,10 @@
 
 import copy
 import json
+import os
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +28,7 @@ from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
 from zoedepth.weights.exported import METADATA, is_exported, load_exported
 from zoedepth.weights.load import load_model
+from zoedepth.weights.releases import ASSETS
 
 FAR = PRESETS["zoed-m12-n"]
 SOUND = json.dumps({"config": to_dict(FAR)})
@@ -73,6 +77,15 @@ def test_files_of_both_runtimes_run(load: Callable, file: Path, tmp_path: Path):
         model = load(path)
         assert model.config == FAR
         assert torch.allclose(model(pixels).depth[:, 0], pixels.mean(dim=1), atol=1e-5)
+
+
+def test_onnx_runtime_sends_nobody_a_message(tmp_path: Path):
+    """From version 1.29 on it keeps what it would send, and a number for the machine, in the user's cache."""
+    code = f"from zoedepth.weights.exported import load_exported; load_exported({str(ASSETS / 'zoed-lite.onnx')!r})"
+    kept = {name: value for name, value in os.environ.items() if name not in ("CI", "ORT_DISABLE_TELEMETRY")}
+    homes = {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
+    subprocess.run([sys.executable, "-c", code], env={**kept, **homes}, check=True)
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 
 def test_foreign_and_broken_files_are_refused(tmp_path: Path):

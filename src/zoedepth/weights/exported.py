@@ -1,6 +1,7 @@
 """Run exported files, which takes no torch: arrays in and out, for ``Predictor``; tensors for programs in torch."""
 
 import math
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import partial
@@ -130,6 +131,9 @@ class OnnxModel(ExportedModel):
 
     def __init__(self, path: Path, *, threads: int) -> None:
         checked = path.parent != ASSETS and path.stat().st_size <= _SMALL
+        # It would make a number for this machine, and send it to its makers with the path of the program. It looks at
+        # this when it is imported.
+        os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
         try:
             import onnxruntime
 
@@ -137,6 +141,7 @@ class OnnxModel(ExportedModel):
                 import onnx
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
+        onnxruntime.disable_telemetry_events()  # Windows' own
         self.threads = threads
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
