@@ -36,6 +36,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS, Maps, Options, sidecar, write_maps
 from zoedepth.panorama import predict_panorama
 from zoedepth.predict import Predictor
+from zoedepth.tiles import predict_tiled
 from zoedepth.stored import read_depth
 
 
@@ -447,6 +448,21 @@ class TestPredictPhoto:
             predict_photo(photo, Predictor(tiny_model), Request("tiny", panorama=True))
         assert not (tmp_path / "out").exists()
 
+    def test_tiles_are_told_and_so_is_where_they_would_add_nothing(self, tmp_path: Path, tiny_model: ZoeDepth) -> None:
+        predictor = Predictor(tiny_model, flip_average=False)
+        large = Photo(write_photo(tmp_path / "a.jpg", size=(130, 190)), tmp_path / "out" / "a")
+        outcome = predict_photo(large, predictor, Request("tiny", ("npy",), tiles="auto"))
+        expected = predict_tiled(predictor, large.path)
+        np.testing.assert_array_equal(np.load(large.file("_depth.npy")), expected.depth)
+        assert (outcome.sidecar["tiles"], expected.tiles, outcome.notes) == ((2, 2), (2, 2), ())
+        small = Photo(write_photo(tmp_path / "b.jpg", size=(60, 70)), tmp_path / "out" / "b")
+        sphere = Photo(write_sphere(tmp_path / "c.jpg", said=True), tmp_path / "out" / "c")
+        for photo in (small, sphere):
+            outcome = predict_photo(photo, predictor, Request("tiny", ("npy",), tiles="auto"))
+            assert "tiles" not in outcome.sidecar
+            assert [note for note in outcome.notes if "tiles would add nothing" in note] == list(outcome.notes)
+        np.testing.assert_array_equal(np.load(small.file("_depth.npy")), predictor(small.path).depth)
+
     def test_relative_depth(self, tmp_path: Path) -> None:
         photo = Photo(write_photo(tmp_path / "a.jpg"), tmp_path / "out" / "a")
         sidecar = predict_photo(photo, Brightness(), Request("brightness", relative=True)).sidecar
@@ -479,6 +495,9 @@ class TestPredictPhoto:
         ({"outputs": ("npz", "depth"), "relative": True}, "'depth' cannot be written from relative depth"),
         ({"relative": True, "panorama": True}, "relative depth has none"),
         ({"panorama": True, "calibration": CALIBRATION}, "leave the calibration out"),
+        ({"panorama": True, "tiles": "auto"}, "seen in parts anyway"),
+        ({"relative": True, "tiles": (2, 2)}, "tiles are joined by their metres"),
+        ({"tiles": (2, 99)}, "each from 1 to 32"),
         ({"relative": True, "domain": "indoor"}, "no metres: leave out domain"),
         ({"relative": True, "options": Options(png_scale=256.0, vmax=3.0)}, "png_scale, vmax"),
     ],

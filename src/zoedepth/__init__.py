@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from zoedepth.panorama import PanoramaMap, predict_panorama
     from zoedepth.predict import Predictor
     from zoedepth.stored import read_depth
+    from zoedepth.tiles import predict_tiled
     from zoedepth.weights.load import available_models, load_for_prediction, load_model
     from zoedepth.weights.pretrained import ZoeDepth
     from zoedepth.weights.save import push_to_hub, save_model
@@ -41,6 +42,7 @@ __all__ = [
     "load_for_prediction",
     "load_model",
     "predict_panorama",
+    "predict_tiled",
     "push_to_hub",
     "read_depth",
     "save_model",
@@ -70,6 +72,8 @@ def __getattr__(name: str) -> object:
         from zoedepth import panorama
 
         value = getattr(panorama, name)
+    elif name == "predict_tiled":
+        from zoedepth.tiles import predict_tiled as value
     elif name == "Predictor":
         from zoedepth.predict import Predictor as value
     elif name in ("available_models", "load_for_prediction", "load_model"):

@@ -36,6 +36,7 @@ from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import is_own_file
 from zoedepth.panorama import is_sphere, predict_panorama
 from zoedepth.threads import cpu_count, thread_count, threads
+from zoedepth.tiles import Tiles, check_tiles, predict_tiled
 
 if TYPE_CHECKING:
     from zoedepth.predict import Predictor
@@ -66,6 +67,11 @@ _UNKNOWN_CAMERA = (
 
 _NOT_CALIBRATED = (
     "a calibration is of photos of one camera, and a panorama looks everywhere and has none: leave the calibration out"
+)
+
+_NO_TILES = (
+    "hardly larger than what the network sees, or seen in parts anyway (panoramas): tiles would add nothing, and depth "
+    "is as without --tiles"
 )
 
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -155,6 +161,8 @@ class Request:
     """The calibration by which metres are put right; photos that it does not hold for fail."""
     panorama: bool = False
     """True takes all photos for panoramas of 360 x 180 degrees. Those that say so in their XMP are found anyway."""
+    tiles: Tiles | None = None
+    """(rows, columns) of the tiles in which large photos are seen, too, or "auto"; None for none. See ``tiles``."""
 
     def __post_init__(self) -> None:
         options = self.options
@@ -173,6 +181,12 @@ class Request:
                 "the parts of a panorama are joined by their metres, and relative depth has none: take a model of "
                 "metres, without --relative"
             )
+        if self.tiles is not None:
+            check_tiles(self.tiles)
+            if self.relative:
+                raise InputError("tiles are joined by their metres, and relative depth has none: leave the tiles out")
+            if self.panorama:
+                raise InputError("a panorama is seen in parts anyway: leave the tiles out")
         if self.calibration is not None and self.panorama:
             raise InputError(_NOT_CALIBRATED)
         for name in self.names:
@@ -428,12 +442,17 @@ def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Pred
         origin: dict[str, object] = {"input_size": image.shape[:2]}
     elif request.panorama or is_sphere(picture()):
         maps, origin = _look_around(picture(), predictor, request)
+        notes = () if request.tiles is None else (_NO_TILES,)
     else:
-        result = predictor(picture(), domain=request.domain)
+        if request.tiles is None:
+            result = predictor(picture(), domain=request.domain)
+        else:
+            result = predict_tiled(predictor, picture(), tiles=request.tiles, domain=request.domain)
+            notes = (_NO_TILES,) if result.tiles is None else ()
         if request.calibration is not None:
             result = result.calibrated(request.calibration, network=request.model)
         if predictor.corrects_known_cameras and result.camera.source == "assumed":
-            notes = (_UNKNOWN_CAMERA,)
+            notes = (*notes, _UNKNOWN_CAMERA)
         maps = result.maps
         origin = {
             "config_size": predictor.model.config.size,
@@ -441,6 +460,7 @@ def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Pred
             "network_size": result.network_size,
             "domain": result.domain,
             "domain_probability": sidecars.rounded(result.domain_probability),
+            **({} if result.tiles is None else {"tiles": result.tiles}),
             **_about_camera(result),
         }
     return Predicted(maps, {**origin, "runtime": predictor.runtime}, time.perf_counter() - started, notes)

@@ -64,6 +64,8 @@ class DepthMap:
     """Metres: the nearest and the farthest depth that the model gives in this scene type, corrected as ``depth`` is."""
     calibration: Calibration | None = None
     """The calibration by readings that ``depth`` and ``std`` went through last of all; None where they did not."""
+    tiles: tuple[int, int] | None = None
+    """(rows, columns) of the tiles that the detail of ``depth`` comes from, see ``tiles``; None where there are none."""
 
     @property
     def size(self) -> tuple[int, int]:

@@ -186,10 +186,25 @@ class Predictor:
         head = None if domain is None else self.domain_index(domain)
         cameras = choice_for_each(camera, len(images))
         photos = [self._photo(image, choice) for image, choice in zip(images, cameras, strict=True)]
-        answers = self._forward.predict(
-            [(photo.image, photo.network_size) for photo in photos], head, batch_size=batch_size
-        )
-        return [self._depth_map(photo, answer) for photo, answer in zip(photos, answers, strict=True)]
+        return self._predict(photos, head, batch_size=batch_size)
+
+    def parts(self, images: Sequence[ImageArray], cameras: Sequence[Camera], *, domain: str) -> list[DepthMap]:
+        """Predict parts of one photo, as ``batch`` does, but that nothing is said of parts in which nothing shows: sky.
+
+        Args:
+            images: parts of the photo, of any sizes.
+            cameras: the camera of each part.
+            domain: scene type whose head to use for all of them.
+
+        Raises:
+            InputError: the domain is unknown, a part is too long and narrow, or the model is in training mode.
+        """
+        head = self.domain_index(domain)
+        photos = [
+            _Photo(image, self.network_size(_size(image)), camera, "")
+            for image, camera in zip(images, cameras, strict=True)
+        ]
+        return self._predict(photos, head, batch_size=len(photos))
 
     def infer(
         self,
@@ -275,6 +290,12 @@ class Predictor:
         if domain not in names:
             raise InputError(f"this model has no head for {domain!r}: use one of {names}")
         return names.index(domain)
+
+    def _predict(self, photos: Sequence[_Photo], head: int | None, *, batch_size: int) -> list[DepthMap]:
+        answers = self._forward.predict(
+            [(photo.image, photo.network_size) for photo in photos], head, batch_size=batch_size
+        )
+        return [self._depth_map(photo, answer) for photo, answer in zip(photos, answers, strict=True)]
 
     def _photo(self, image: Any, choice: CameraChoice | None) -> _Photo:
         """Read a photo, and find out its camera."""

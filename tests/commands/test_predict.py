@@ -133,6 +133,20 @@ class TestOptions:
             assert (str(arrays["projection"]), arrays["depth"].shape) == ("equirectangular", (32, 64))
         assert names(tmp_path / "out") == {"a.npz", "a.ply", "a.json"}
 
+    def test_of_tiles(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        photo = write_photo(tmp_path / "photo.png", size=(130, 190))
+        options = ["--no-flip", "--save", "npy", "--tiles"]
+        assert predict(photo, *options, "2x3", out=tmp_path / "out") == 0
+        assert json.loads((tmp_path / "out/photo.json").read_text())["tiles"] == [2, 3]
+        assert predict(photo, *options, "2x3", out=tmp_path / "out") == 0
+        assert "is done already" in capsys.readouterr().err
+        assert predict(photo, *options, "auto", out=tmp_path / "out") == 0  # another depth
+        assert json.loads((tmp_path / "out/photo.json").read_text())["tiles"] == [2, 2]
+        assert predict(photo, *options, "9x9", out=tmp_path / "out") == 1
+        assert "less than half of what the network sees" in capsys.readouterr().err
+        assert predict(photo, *options, "many", out=tmp_path / "out") == 2
+        assert "tiles (--tiles) are auto, or rows x columns" in capsys.readouterr().err
+
     def test_model_without_metric_heads_gives_relative_depth(
         self, photo: Path, tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -29,6 +29,8 @@ def of(model: ZoeDepth, request: Request | None = None, predictor: Predictor | N
         Request("a", ("npy",)),
         Request("a", domain="indoor"),
         Request("a", panorama=True),
+        Request("a", tiles="auto"),
+        Request("a", tiles=(2, 3)),
         Request("a", options=Options(vmax=9.0)),
         Request("a", calibration=Calibration(1.5)),
     ],

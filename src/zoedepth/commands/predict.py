@@ -83,6 +83,7 @@ def predict(
     focal_correction: Literal["model", "yes", "no"] = "model",
     calibration: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     panorama: bool = False,
+    tiles: Annotated[str | None, tyro.conf.arg(metavar="auto|RxC")] = None,
     relative: bool = False,
     compat: tuple[str, ...] = (),
     png_scale: float | None = None,
@@ -92,8 +93,8 @@ def predict(
     max_triangles: int = 500_000,
     device: str = "auto",
     precision: Literal["float32", "bfloat16"] = "float32",
-    workers: int | None = None,
     fast: bool = False,
+    workers: int | None = None,
     overwrite: bool = False,
     shard: Annotated[str | None, tyro.conf.arg(metavar="I/N")] = None,
     column: str | None = None,
@@ -138,6 +139,8 @@ def predict(
         calibration: file of `zoedepth calibrate`; photos of another camera, model or scene type fail.
         panorama: the photos are panoramas of 360 x 180 degrees, twice as wide as high. One that says so in its XMP is
             found to be one without this. Depth is the distance along each pixel's ray then.
+        tiles: see large photos in tiles, too, for detail beyond the network's size; metres stay those of the whole.
+            auto takes as many tiles as a photo is worth, 4x6 is 4 rows of 6. It takes longer by their number.
         relative: write relative depth instead (inverse depth without a unit): NAME_relative.png, the nearest is 65535.
             Models without a metric head (MiDaS) give nothing else. Models with one were not trained to keep it right.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
@@ -148,12 +151,12 @@ def predict(
         max_triangles: triangles of a mesh (--save glb), at most; 0 keeps all, one or two for each pixel.
         device: cpu, cuda, mps, or auto for the best there is.
         precision: bfloat16 is faster on hardware made for it.
-        workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
-            needs memory of its own: give 1 for large models where there is little.
-        overwrite: predict those photos again, too, that are done.
         fast: let that compute which does it fastest on this machine, as `zoedepth benchmark` has found it for this
             model; without that, as is known of the runtimes that are installed. The depth is within 1 %. The first time
             exports the model to the user's cache.
+        workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
+            needs memory of its own: give 1 for large models where there is little.
+        overwrite: predict those photos again, too, that are done.
         shard: do the I-th of N parts of the photos, e.g. 0/4; the other N - 1 commands do the others, on this machine
             or on others that see the same --out.
         column: column of a .csv or .parquet list that has the photos; without it image, photo, path, file, url or such.
@@ -172,6 +175,7 @@ def predict(
     from zoedepth.jobs.origins import is_address
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.shard import JobShard
+    from zoedepth.tiles import read_tiles
 
     console = Console(stderr=True, highlight=False)
     # Otherwise Python would remember each warning, with its photo's name, for as long as it runs.
@@ -184,14 +188,14 @@ def predict(
         raise InputError(f"--workers must be 1 or more, got {workers}")
     if address is not None and engine != "ray":
         raise InputError("--address is that of a Ray cluster: give --engine ray, too, or leave it out")
-    if engine == "ray" and out == STREAM:
-        raise InputError("--out - is for one photo: leave --engine out")
-    options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
-
     if fast and precision != "float32":
         raise InputError("--fast chooses the precision: leave --precision out")
     if fast and engine == "ray":
         raise InputError("--fast chooses for this machine, and --engine ray computes on others: leave one of them out")
+    if engine == "ray" and out == STREAM:
+        raise InputError("--out - is for one photo: leave --engine out")
+    options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
+
     streamed = out == STREAM
     part = JobShard() if shard is None else JobShard.parse(shard)
     corrections = None if calibration is None else read_calibration(calibration)
@@ -201,7 +205,14 @@ def predict(
         names = output_names(save or ((kind,) if streamed else (kind, "preview")), map=kind)
         names = tuple(name for name in names if preview or name != "preview")
         return Request(
-            model, names, options, domain=domain, relative=relative, calibration=corrections, panorama=panorama
+            model,
+            names,
+            options,
+            domain=domain,
+            relative=relative,
+            calibration=corrections,
+            panorama=panorama,
+            tiles=None if tiles is None else read_tiles(tiles),
         )
 
     wanted = request(relative=relative)
