@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 from rich.text import Text
 
 from zoedepth.errors import InputError
@@ -25,7 +24,7 @@ EXIT_FAILED = 1
 _KEY = "zoedepth_benchmark"
 """First name in the file of --json, by which it is known."""
 
-_HEADINGS = ("runtime", "s a photo", "least - most", "photos a s", "peak MB", "first depth s", "REL", "")
+_HEADINGS = ("runtime", "s a photo", "least - most", "photos a s", "peak MB", "first depth s", "REL")
 
 
 def benchmark(
@@ -99,7 +98,8 @@ def benchmark(
             tell=tell,
         )
     console = Console(highlight=False)
-    _show(result.rows, console)
+    for line in _table(result.rows, chosen=result.choice.runtime):
+        console.print(line, soft_wrap=True)
     for line in _told(result, model):
         console.print(line, soft_wrap=True, markup=False)
     if json_ is not None:
@@ -127,41 +127,38 @@ def _check_replaced(path: Path) -> None:
             raise InputError(f"--json: {path} is not a file of zoedepth benchmark, and would be replaced: give another")
 
 
-def _show(rows: "Sequence[Row]", console: Console) -> None:
-    """Print the table: with lines around it on a terminal, and as plain columns elsewhere."""
+def _table(rows: "Sequence[Row]", *, chosen: str) -> "Iterator[Text]":
+    """Yield the lines of the table: columns of numbers, and for a row that did not run the reason in their place."""
     cells = [_cells(row) for row in rows]
-    if console.is_terminal:
-        table = Table()
-        for heading in _HEADINGS:
-            table.add_column(heading, justify="left" if heading in ("runtime", "") else "right", overflow="fold")
-        for row in cells:
-            table.add_row(*map(Text, row))
-        console.print(table)
-        return
-    widths = [max(map(len, column)) for column in zip(_HEADINGS, *cells, strict=True)]
-    for row in (_HEADINGS, *cells):
-        padded = (cell.ljust(width) if at == 0 else cell.rjust(width) for at, (cell, width) in _columns(row, widths))
-        console.print("  ".join((*padded, row[-1])).rstrip(), soft_wrap=True, markup=False)
+    widths = [max(map(len, column)) for column in zip(_HEADINGS, *filter(None, cells), strict=True)]
+    widths[0] = max(len(row.runtime) for row in rows)
 
+    def line(name: str, numbers: "Sequence[str]", style: str = "") -> Text:
+        aligned = (number.rjust(width) for number, width in zip(numbers, widths[1:], strict=False))
+        return Text("  ".join((name.ljust(widths[0]), *aligned)).rstrip(), style)
 
-def _columns(row: "Sequence[str]", widths: "Sequence[int]") -> "Iterator[tuple[int, tuple[str, int]]]":
-    """Yield the number, the text and the width of each column but the last, which holds sentences."""
-    yield from enumerate(zip(row[:-1], widths[:-1], strict=True))
+    yield line(_HEADINGS[0], _HEADINGS[1:], "bold")
+    for row, numbers in zip(rows, cells, strict=True):
+        if numbers:
+            text = line(row.runtime, numbers[1:], "bold green" if row.runtime == chosen else "")
+            yield text.append(f"  {row.doubt}") if row.doubt else text
+        else:
+            yield Text(f"{row.runtime.ljust(widths[0])}  {row.problem}", "red" if row.failed else "dim")
 
 
 def _cells(row: "Row") -> tuple[str, ...]:
-    """Return what the table says of a row."""
+    """Return what the table says of a row that ran; nothing of others."""
     if row.seconds is None or row.least is None or row.most is None:
-        return (row.runtime, *("",) * (len(_HEADINGS) - 2), row.problem)
+        return ()
+    memory = "?" if row.memory_mb is None else f"{row.memory_mb:.0f}"
     return (
         row.runtime,
         f"{row.seconds:.3f}",
         f"{row.least:.3f} - {row.most:.3f}",
         f"{row.photos_a_second:.2f}",
-        "" if row.memory_mb is None else f"{row.memory_mb:.0f}",
+        memory if row.gpu_memory_mb is None else f"{memory} + {row.gpu_memory_mb:.0f} GPU",
         f"{row.first_depth:.1f}",
         f"{row.difference:.1e}",
-        row.doubt if row.gpu_memory_mb is None else f"{row.gpu_memory_mb:.0f} MB on the GPU",
     )
 
 

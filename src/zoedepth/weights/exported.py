@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from zoedepth.config import AnyModelConfig, model_config_from_dict
-from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count
@@ -136,9 +136,6 @@ class OnnxModel(ExportedModel):
         os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
         try:
             import onnxruntime
-
-            if checked:
-                import onnx
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
         onnxruntime.disable_telemetry_events()  # Windows' own
@@ -150,9 +147,9 @@ class OnnxModel(ExportedModel):
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
             if checked:
-                _refuse_onnx_bomb(onnx.load(path, load_external_data=False), path)
+                _refuse_onnx_bomb(path)
             self.session = onnxruntime.InferenceSession(str(path), options, providers=providers)
-        except InputError:
+        except ZoeDepthError:
             raise
         except Exception as error:  # its errors share no class
             raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}. Export the model again") from error
@@ -247,11 +244,15 @@ _MAX_UNPACKED = 100_000_000
 """Bytes that a graph may make of constants, beside 16 times its file: 8-bit weights become float32, and are moved."""
 
 
-def _refuse_onnx_bomb(model: Any, path: Path) -> None:
+def _refuse_onnx_bomb(path: Path) -> None:
     """Refuse a graph whose constants ask for tensors far larger than the file, or that has loops."""
-    import onnx
-    from onnx import shape_inference
+    try:
+        import onnx
+        from onnx import shape_inference
+    except ModuleNotFoundError as error:
+        raise MissingExtraError("onnx", "running an ONNX file") from error
 
+    model = onnx.load(path, load_external_data=False)
     if any(attribute.type == onnx.AttributeProto.GRAPH for node in model.graph.node for attribute in node.attribute):
         raise InputError(f"{path} has a loop or a branch, which no export of zoedepth has: it was not run")
     try:
