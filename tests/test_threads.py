@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from zoedepth import threads as module
-from zoedepth.threads import has_accelerator, thread_count, threads
+from zoedepth.threads import has_accelerator, thread_count, threads, wait_asleep
 
 
 def printed(code: str, **environment: str) -> list[str]:
@@ -68,3 +68,11 @@ def test_accelerators_are_known_by_their_drivers(
     monkeypatch.setattr(module, "find_library", lambda name: library if name == "nvcuda" else None)
     monkeypatch.setattr(module, "_DRIVERS", drivers)
     assert has_accelerator() == expected
+
+
+@pytest.mark.parametrize(("said", "asleep"), [("PASSIVE", True), ("passive", True), ("ACTIVE", False), (None, False)])
+def test_threads_wait_as_openmp_is_told_to(said: str | None, asleep: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    if said is not None:
+        monkeypatch.setenv("OMP_WAIT_POLICY", said)
+    assert wait_asleep() == asleep

@@ -42,6 +42,14 @@ def thread_count() -> int:
     return int(said) if said.isdecimal() and int(said) else cpu_count()
 
 
+def wait_asleep() -> bool:
+    """Return True if threads shall wait for each other asleep, and not in a loop that keeps a core busy.
+
+    The variable is OpenMP's, which torch reads. The command line sets it.
+    """
+    return os.environ.get("OMP_WAIT_POLICY", "").upper() == "PASSIVE"
+
+
 def set_thread_count(number: int) -> None:
     """Let forwards compute with this number of threads from now on; torch, too, if it is imported later."""
     if "torch" in sys.modules:

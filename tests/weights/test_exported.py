@@ -26,7 +26,7 @@ from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
-from zoedepth.weights.exported import METADATA, is_exported, load_exported
+from zoedepth.weights.exported import METADATA, OnnxModel, is_exported, load_exported
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import ASSETS
 
@@ -86,6 +86,15 @@ def test_onnx_runtime_sends_nobody_a_message(tmp_path: Path):
     homes = {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     subprocess.run([sys.executable, "-c", code], env={**kept, **homes}, check=True)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_threads_of_onnx_runtime_wait_asleep_where_openmps_do(file: Path, monkeypatch: pytest.MonkeyPatch):
+    spinning = "session.intra_op.allow_spinning"
+    monkeypatch.setenv("OMP_WAIT_POLICY", "PASSIVE")
+    assert OnnxModel(file, threads=2).session.get_session_options().get_session_config_entry(spinning) == "0"
+    monkeypatch.setenv("OMP_WAIT_POLICY", "ACTIVE")
+    with pytest.raises(RuntimeError):  # its default
+        OnnxModel(file, threads=2).session.get_session_options().get_session_config_entry(spinning)
 
 
 def test_foreign_and_broken_files_are_refused(tmp_path: Path):

@@ -16,7 +16,7 @@ from zoedepth.config import AnyModelConfig, model_config_from_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
-from zoedepth.threads import thread_count
+from zoedepth.threads import thread_count, wait_asleep
 from zoedepth.weights.openvino_graph import specialized
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
@@ -124,6 +124,10 @@ class ExportedModel(ABC):
         return DepthOutput(said.predicted_depth[:, None], None, taken, said.domain_logits, std, None, None)
 
 
+_SPINNING = "session.intra_op.allow_spinning"
+"""ONNX Runtime's option that lets its threads wait in a loop."""
+
+
 class OnnxModel(ExportedModel):
     """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU."""
 
@@ -143,6 +147,8 @@ class OnnxModel(ExportedModel):
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
+        if wait_asleep():
+            options.add_session_config_entry(_SPINNING, "0")
         wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
