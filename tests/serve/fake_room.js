@@ -43,7 +43,8 @@
 
   function projection() {
     const [across, along, deep] = [(2 * room.focal) / WIDTH, (2 * room.focal) / HEIGHT, FAR - NEAR];
-    return Float32Array.of(across, 0, 0, 0, 0, along, 0, 0, 0, 0, -(FAR + NEAR) / deep, -1, 0, 0, (-2 * FAR * NEAR) / deep, 0);
+    const depths = [-(FAR + NEAR) / deep, -1, 0, 0, (-2 * FAR * NEAR) / deep, 0];
+    return Float32Array.of(across, 0, 0, 0, 0, along, 0, 0, 0, 0, ...depths);
   }
 
   class Layer {

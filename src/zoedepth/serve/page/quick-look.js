@@ -1,5 +1,5 @@
-// The scene in the room around (AR) by Quick Look, as iPhones and iPads have it: they open a link to a USDZ there, if the
-// link has a picture in it.
+// The scene in the room around (AR) by Quick Look, as iPhones and iPads have it: they open a link to a USDZ there, if
+// it has a picture in it.
 
 /** True where the browser does that. */
 export function hasQuickLook() {

@@ -1,5 +1,5 @@
-// The scene in the room around (AR) by WebXR, as Chrome on Android has it: at true scale, first where the photo would have
-// been taken from here, then where the floor or a table is tapped.
+// The scene in the room around (AR) by WebXR, as Chrome on Android has it: at true scale, first as if the photo had been
+// taken from here, then where the floor or a table is tapped.
 
 /** True where the browser can do that: only over https, or from this machine itself. */
 export async function canShowRoom() {

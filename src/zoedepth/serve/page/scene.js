@@ -135,10 +135,10 @@ export class Scene {
     this.draw();
   }
 
-  /** Make points as large as the gaps between them, for a picture of this focal length in CSS pixels. */
+  /** Make points twice as large as the gaps between them, for a picture of this focal length in CSS pixels. */
   sizePoints(focal) {
     if (!this.content.isPoints) return;
-    this.content.material.size = Math.max(1.2, (1.4 * this.pointStep * focal) / this.depth.camera.fy);
+    this.content.material.size = Math.max(1.8, (2.1 * this.pointStep * focal) / this.depth.camera.fy);
   }
 
   /** Draw at the next frame, once, however much has changed: a page at rest costs nothing. */
