@@ -43,7 +43,8 @@ def test_commands_and_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     names: dict[str, object] = {}
     for program in programs():
         exec(program, names)
-    assert np.array_equal(read_depth("depth.exr"), read_depth("depth/photo_depth.exr"))
+    # The command and the program may compute with different runtimes.
+    np.testing.assert_allclose(read_depth("depth.exr"), read_depth("depth/photo_depth.exr"), rtol=1e-4)
     assert Path("photo.glb").is_file()
     points, message = names["points"], names["message"]
     assert isinstance(points, np.ndarray)
