@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from tests.data.test_registration import scene
 from tests.datasets.base import write_photo, write_png
 from tests.folders import write_csv, write_disparity_pairs, write_pairs
 
@@ -182,3 +184,16 @@ def test_disparity_of_0_and_the_same_everywhere_can_be_drawn(tmp_path: Path):
     flat = replace(sample, target=sample.target * 0, mask=sample.target == sample.target)
     picture = contact_sheet([flat], [0])
     assert (picture == 0).all(axis=2).any(), "the farthest"
+
+
+def test_depth_of_another_camera_is_worth_a_note(tmp_path: Path):
+    rows = []
+    for seed in range(4):
+        image, depth = scene(seed, scale=1.11)
+        Image.fromarray((image.transpose(1, 2, 0) * 255).astype(np.uint8)).save(tmp_path / f"{seed}.png")
+        Image.fromarray((depth * 1000).astype(np.uint16)).save(tmp_path / f"{seed}d.png")
+        rows.append({"image": f"{seed}.png", "depth": f"{seed}d.png", "depth_scale": 1000, "domain": "indoor"})
+    report = check(PairDataset(write_csv(tmp_path / "test.csv", rows)))
+    assert report.registration is not None
+    assert any("0.90 times as large" in note for note in report.notes)
+    assert not report.problems

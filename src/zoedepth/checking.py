@@ -6,11 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
 from zoedepth.data.integrity import find_broken
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.plausible import Doubts, doubts, glance
+from zoedepth.data.registration import MOST, Edges, Registration, edges, register
 from zoedepth.data.sample import Sample, Samples, Target
 from zoedepth.datasets.published import PublishedDataset
 from zoedepth.errors import InputError
@@ -76,13 +78,16 @@ class Report:
     """Findings about the depth that are not plausible."""
     unit_known: bool = False
     """True where the reader knows the unit: published data, rendered scenes."""
+    registration: Registration | None = None
+    """The place where the depth fits the photos best; None where edges do not tell."""
 
     @property
     def notes(self) -> list[str]:
         """Sentences about things to look at, which may be right."""
         mark = self.doubts.mark
         found = [] if mark is None or (mark.certain and not self.unit_known) else [str(mark)]
-        return found + (self.doubts.unlikely if self.unit_known else [])
+        found += self.doubts.unlikely if self.unit_known else []
+        return found + ([] if self.registration is None or self.registration.fits else [str(self.registration)])
 
     @property
     def problems(self) -> list[str]:
@@ -133,6 +138,7 @@ def check(
     kinds: set[Target] = set()
     readable, unreadable, empty, shares, spread, glances = [], list(broken.values()), [], [], [], []
     least, greatest, n_cameras = np.inf, -np.inf, 0
+    outlines: list[Edges] = []
     for index in track(chosen):
         try:
             sample = dataset[index]
@@ -153,6 +159,8 @@ def check(
         spread.append(values[:: max(1, values.size // _VALUES_PER_PAIR)])
         if sample.kind == "depth":
             glances.append(glance(depth_file(dataset, index, sample), sample.domain, values))
+            if len(outlines) < MOST and shares[-1] >= SPARSE and (found_edges := edges_of(sample)) is not None:
+                outlines.append(found_edges)
     found = None
     if spread:
         low, median, high = (float(value) for value in np.percentile(np.concatenate(spread), (1, 50, 99)))
@@ -173,7 +181,13 @@ def check(
         n_cameras=n_cameras,
         doubts=doubts(glances, max_depth=getattr(dataset, "max_depth", None)),
         unit_known=isinstance(dataset, PublishedDataset | SyntheticScenes),
+        registration=register(outlines),
     )
+
+
+def edges_of(sample: Sample) -> Edges | None:
+    """Find the edges of a sample with depth, see ``registration.edges``."""
+    return edges(sample.image.numpy(), torch.where(sample.mask, sample.target, 0)[0].numpy())
 
 
 def contact_sheet(dataset: Samples, indices: Sequence[int]) -> ImageArray:
