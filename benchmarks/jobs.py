@@ -100,7 +100,7 @@ def _actors(pid: int) -> list[int]:
     found = []
     for process in psutil.Process(pid).children(recursive=True):
         with suppress(psutil.Error):  # it has ended
-            if re.match(r"ray::_?MapWorker", process.cmdline()[0]):
+            if re.match(r"ray::_?MapWorker", "".join(process.cmdline()[:1])):
                 found.append(process.pid)
     return found
 
