@@ -3,7 +3,19 @@
 import sys
 from collections.abc import Callable
 
-from benchmarks import calibration, depthwise, flying, inference, linear, outputs, panorama, peers, startup, synthetic
+from benchmarks import (
+    calibration,
+    depthwise,
+    flying,
+    inference,
+    linear,
+    outputs,
+    panorama,
+    peers,
+    startup,
+    synthetic,
+    tiles,
+)
 
 BENCHMARKS: dict[str, Callable[[], None]] = {
     "startup": startup.main,
@@ -16,6 +28,7 @@ BENCHMARKS: dict[str, Callable[[], None]] = {
     "panorama": panorama.main,
     "peers": peers.main,
     "calibration": calibration.main,
+    "tiles": tiles.main,
 }
 
 

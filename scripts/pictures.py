@@ -5,6 +5,7 @@
 three-d.jpg     photographs that come with scikit-image, turned; one also with the depth that was measured
 panorama.jpg    a rendered panorama and its distances, and looks at its surface from inside
 turntables.jpg  a rendered room as GLB, PLY and PCD, turned: all of them the right side up, in the same colours
+tiles.jpg       a rendered street of 8 megapixels, its depth seen whole and in tiles, and a part of all three
 """
 
 import argparse
@@ -17,7 +18,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from zoedepth import Predictor, load_model
+from zoedepth import Predictor, load_model, predict_tiled
 from zoedepth.colors import colorize, panel, sheet
 from zoedepth.commands.demo import FOCAL_PX, motorcycle_depth
 from zoedepth.geometry.camera import Camera
@@ -119,6 +120,24 @@ def turntables(browser: Browser) -> ImageArray:
     return sheet(rows)
 
 
+def tiles(browser: Browser) -> ImageArray:
+    """Return a photo of 8 megapixels, its depth as predicted whole and in tiles, and a part of all three below."""
+    size = (2160, 3840)
+    image, _, intrinsics = make_picture("outdoor", size, np.random.default_rng((24, 1)))
+    predictor, camera = Predictor(load_model("zoed-lite")), Camera.of(intrinsics, size)
+    whole = predictor(image, camera=camera).depth
+    finer = predict_tiled(predictor, image, tiles=(6, 6), camera=camera).depth
+    captions = ("a photo of 3840 x 2160", "its depth, seen whole", "and in 6 x 6 tiles")
+    closer = ("a part of it", "seen whole", "and in tiles")
+    rows = []
+    for part, words in ((np.s_[:, :], captions), (np.s_[1000:1720, 2240:3520], closer)):
+        vmin, vmax = (float(value) for value in np.percentile(finer[part], (1, 99)))
+        colors = [colorize(depth[part], vmin=vmin, vmax=vmax) for depth in (whole, finer)]
+        shown = zip((image[part], *colors), words, strict=True)
+        rows.append([panel(picture, size=(270, 480), caption=caption) for picture, caption in shown])
+    return sheet(rows)
+
+
 def _panel(image: ImageArray, caption: str) -> ImageArray:
     height, width = PANEL
     wanted = width / height
@@ -131,6 +150,7 @@ PICTURES: dict[str, Callable[[Browser], ImageArray]] = {
     "three-d": three_d,
     "panorama": panorama,
     "turntables": turntables,
+    "tiles": tiles,
 }
 
 
