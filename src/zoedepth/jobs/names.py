@@ -3,11 +3,14 @@
 import hashlib
 import sqlite3
 
+_CACHE = 512
+"""Kilobytes of memory of a temporary database. SQLite's own 2000 are no faster with keys that come in no order."""
+
 
 class Names:
     """A set of texts, kept on disk in a temporary database that vanishes with the process.
 
-    It takes about 2 MB of memory, whether it holds a thousand names or ten million.
+    It takes about half a megabyte of memory, whether it holds a thousand names or ten million.
     """
 
     def __init__(self) -> None:
@@ -29,6 +32,7 @@ def temporary_database() -> sqlite3.Connection:
     database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
     database.execute("PRAGMA synchronous = OFF")
     database.execute("PRAGMA journal_mode = OFF")
+    database.execute(f"PRAGMA cache_size = -{_CACHE}")
     return database
 
 
