@@ -147,11 +147,11 @@ def test_tiles_cover_the_photo_and_overlap(side: int, count: int) -> None:
     if side > 10 * count:
         overlaps = [one + length - other for one, other in pairwise(starts)]
         assert all(abs(overlap - OVERLAP * length) <= 2 for overlap in overlaps)
-    weights = np.zeros((side, side))
-    for top in grid.tops:
-        for left in grid.lefts:
-            weights[top : top + length, left : left + length] += grid.window(top, left)
-    assert weights.min() > 0.4
+    total = np.zeros(side)
+    for start, weights in zip(starts, grid.windows[0], strict=True):
+        assert weights.min() >= 0
+        total[start : start + length] += weights
+    np.testing.assert_allclose(total, 1, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -198,7 +198,7 @@ def test_memory_is_that_of_a_row_of_tiles() -> None:
     finally:
         tracemalloc.stop()
     assert tops == grid.tops
-    assert peak < 0.7 * whole.depth.nbytes
+    assert peak < 0.6 * whole.depth.nbytes
     assert grid.tile[0] < 512 / 12
 
 

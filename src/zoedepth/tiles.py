@@ -26,7 +26,7 @@ MOST = 32
 """Rows or columns of tiles that can be asked for, at most."""
 
 _REACH = 8  # network pixels of the whole, to each side, within which a tile is made to agree with the whole
-_AT_ONCE = 4  # tiles that are predicted at the same time
+_AT_ONCE, _PIXELS_AT_ONCE = 4, 1 << 22  # tiles that are predicted at the same time, and pixels of the photo in them
 
 
 def read_tiles(word: str) -> Tiles:
@@ -79,10 +79,15 @@ class Grid:
         """The first column of the photo in each column of tiles."""
         return _starts(self.size[1], self.columns)
 
-    def window(self, top: int, left: int) -> Float32[np.ndarray, "_ _"]:
-        """Return the weights of the pixels of a tile: 1 in its middle, falling to 0 where it overlaps with others."""
-        height, width = self.tile
-        return _window(top, height, self.size[0])[:, None] * _window(left, width, self.size[1])
+    @property
+    def windows(self) -> tuple[list[Float32[np.ndarray, " height"]], list[Float32[np.ndarray, " width"]]]:
+        """The weights down each row of tiles, and those across each column: a pixel of a tile has their product.
+
+        They fall towards the border of a tile where it overlaps with others. At each pixel of the photo the weights of
+        all tiles sum up to 1.
+        """
+        (height, width), (tile_height, tile_width) = self.size, self.tile
+        return _windows(self.tops, tile_height, height), _windows(self.lefts, tile_width, width)
 
 
 def predict_tiled(
@@ -123,7 +128,7 @@ def predict_tiled(
     _check_worth(whole, grid)
     depth, std = whole.depth, whole.std
     for lines, log in _lines(predictor, whole, grid):
-        finer = np.exp(log).clip(*whole.depth_range)
+        finer = np.exp(log, out=log).clip(*whole.depth_range, out=log)
         if std is not None:
             std[lines] *= finer / depth[lines]
         depth[lines] = finer
@@ -155,20 +160,21 @@ def agree(
 def _lines(predictor: Predictor, whole: DepthMap, grid: Grid) -> Iterator[tuple[slice, Float32[np.ndarray, "_ _"]]]:
     """Yield the logarithm of the finer depth, some lines of the photo at a time, from the top to the bottom.
 
-    Lines that were yielded are not looked at again: the finer depth may be written in place of the whole's.
+    Lines that were yielded are not looked at again: the finer depth may be written in place of the whole's. They may be
+    changed until the next ones are asked for.
     """
     (height, width), (tile_height, tile_width) = grid.size, grid.tile
-    total, weights = np.zeros((2, tile_height, width), np.float32)
-    for top, below in zip(grid.tops, (*grid.tops[1:], height), strict=True):
-        for left, log in _row(predictor, whole, grid, top):
-            window = grid.window(top, left)
-            total[:, left : left + tile_width] += window * log
-            weights[:, left : left + tile_width] += window
+    down, across = grid.windows
+    total = np.zeros((tile_height, width), np.float32)
+    for top, below, weights in zip(grid.tops, (*grid.tops[1:], height), down, strict=True):
+        for (left, log), others in zip(_row(predictor, whole, grid, top), across, strict=True):
+            log *= weights[:, None]
+            log *= others
+            total[:, left : left + tile_width] += log
         done = below - top
-        yield slice(top, below), total[:done] / weights[:done]
-        for buffer in (total, weights):
-            buffer[: tile_height - done] = buffer[done:]
-            buffer[tile_height - done :] = 0
+        yield slice(top, below), total[:done]
+        total[: tile_height - done] = total[done:]
+        total[tile_height - done :] = 0
 
 
 def _row(
@@ -177,8 +183,9 @@ def _row(
     """Yield the first column and the logarithm of depth of each tile of a row, made to agree with the whole."""
     height, width = grid.tile
     pixel = (grid.size[0] / whole.network_size[0], grid.size[1] / whole.network_size[1])
-    for first in range(0, grid.columns, _AT_ONCE):
-        lefts = grid.lefts[first : first + _AT_ONCE]
+    step = max(1, min(_AT_ONCE, _PIXELS_AT_ONCE // (height * width)))
+    for first in range(0, grid.columns, step):
+        lefts = grid.lefts[first : first + step]
         places = [np.s_[top : top + height, left : left + width] for left in lefts]
         cameras = [whole.camera.cropped(top, left, (height, width)) for left in lefts]
         parts = predictor.parts([whole.image[place] for place in places], cameras, domain=whole.domain)
@@ -211,16 +218,23 @@ def _starts(side: int, count: int) -> list[int]:
     return [round(number * (side - _length(side, count)) / max(count - 1, 1)) for number in range(count)]
 
 
-def _window(start: int, length: int, side: int) -> Float32[np.ndarray, " length"]:
-    """Return the weights along one side of a tile. At the border of the photo, where no other tile is, they are 1."""
+def _windows(starts: list[int], length: int, side: int) -> list[Float32[np.ndarray, " length"]]:
+    """Return the weights of the pixels of each tile along a side. At the border of the photo they do not fall."""
     ramp = max(1, int(length * OVERLAP))
     rise = np.sin((np.arange(ramp) + 0.5) / ramp * (math.pi / 2)) ** 2
-    weights = np.ones(length)
-    if start > 0:
-        weights[:ramp] = rise
-    if start + length < side:
-        weights[length - ramp :] *= rise[::-1]
-    return weights.astype(np.float32)
+    windows, total = [], np.zeros(side)
+    for start in starts:
+        weights = np.ones(length)
+        if start > 0:
+            weights[:ramp] *= rise
+        if start + length < side:
+            weights[length - ramp :] *= rise[::-1]
+        total[start : start + length] += weights
+        windows.append(weights)
+    return [
+        (weights / total[start : start + length]).astype(np.float32)
+        for start, weights in zip(starts, windows, strict=True)
+    ]
 
 
 def _mean(x: Float32[np.ndarray, "height width"]) -> Float32[np.ndarray, "height width"]:
