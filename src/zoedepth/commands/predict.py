@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from zoedepth.jobs.place import JobPlace
     from zoedepth.jobs.run import Tally
     from zoedepth.jobs.work import Done, Input
+    from zoedepth.model.interface import DepthModel
+    from zoedepth.weights.exported import ExportedModel
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
 
@@ -255,35 +257,22 @@ def predict(
         if len(first) < _FIRST:
             _refuse_files_of_others(first, place.destination, wanted)
 
-        from zoedepth.commands.progress import download_progress
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
-        from zoedepth.weights.load import load_for_prediction, load_model
 
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
-            with download_progress() as progress:
-                # The graphs in the package hold no relative depth.
-                load = load_model if relative else partial(load_for_prediction, device=device)
-                numbers: Precision = precision
-                if fast:
-                    from zoedepth.runtimes.fast import load_fast
-
-                    tell = partial(console.print, soft_wrap=True, markup=False)
-                    chosen = load_fast(
-                        model,
-                        compat=compat,
-                        device=device,
-                        streams=n_workers,
-                        metres=not relative,
-                        progress=progress,
-                        tell=tell,
-                    )
-                    tell(f"Fast: {chosen.runtime} ({chosen.why})")
-                    network, numbers, device = chosen.model, chosen.precision, chosen.device
-                else:
-                    network = load(model, compat=compat, precision=precision, streams=n_workers, progress=progress)
+            network, numbers, device = _load(
+                model,
+                fast=fast,
+                relative=relative,
+                compat=compat,
+                device=device,
+                precision=precision,
+                streams=n_workers,
+                console=console,
+            )
             if not network.config.domains:
                 wanted = request(relative=True)
                 if about_metres:
@@ -337,6 +326,44 @@ def predict(
                     )
                 report = _Report(listing, place, tally, console, told, json_=json_, streamed=streamed)
                 return report.of(results)
+
+
+def _load(
+    model: str,
+    *,
+    fast: bool,
+    relative: bool,
+    compat: tuple[str, ...],
+    device: str,
+    precision: Literal["float32", "bfloat16"],
+    streams: int,
+    console: Console,
+) -> "tuple[DepthModel | ExportedModel, Precision, str]":
+    """Load the model under a bar. Return it with the precision and the device for ``Predictor``."""
+    from zoedepth.commands.progress import download_progress
+
+    with download_progress() as progress:
+        if fast:
+            from zoedepth.runtimes.fast import load_fast
+
+            tell = partial(console.print, soft_wrap=True, markup=False)
+            chosen = load_fast(
+                model,
+                compat=compat,
+                device=device,
+                streams=streams,
+                metres=not relative,
+                progress=progress,
+                tell=tell,
+            )
+            tell(f"Fast: {chosen.runtime} ({chosen.why})")
+            return chosen.model, chosen.precision, chosen.device
+        from zoedepth.weights.load import load_for_prediction, load_model
+
+        # The graphs in the package hold no relative depth.
+        load = load_model if relative else partial(load_for_prediction, device=device)
+        network = load(model, compat=compat, precision=precision, streams=streams, progress=progress)
+        return network, precision, device
 
 
 def _refuse_files_of_others(first: "Sequence[Input]", destination: "Destination", wanted: "Request") -> None:
