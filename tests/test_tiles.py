@@ -5,15 +5,18 @@ import tracemalloc
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
 from PIL import Image
+from tests.forward.test_arrays import Brightness
 
+from zoedepth.config import ModelConfig
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.lens import Lens
 from zoedepth.images import ImageArray, to_image
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
@@ -219,3 +222,26 @@ def test_a_real_predictor_and_a_turned_photo_with_plain_sky(tiny_model: ZoeDepth
     assert np.log(result.depth / plain.depth).mean() == pytest.approx(0, abs=0.05)
     with pytest.warns(InputWarning, match="of one colour"):
         predictor(image[:80])
+
+
+@pytest.mark.parametrize("resize", ["keep-aspect", "squeeze"])
+def test_an_exported_model_whose_depth_follows_the_camera(
+    tiny_config: ModelConfig, resize: Literal["keep-aspect", "squeeze"]
+) -> None:
+    """The tile's lens is longer, so that its depth is corrected by more; its metres are those of the whole."""
+    domains = tuple(dataclasses.replace(domain, focal_px=50.0) for domain in tiny_config.domains)
+    model = Brightness(dataclasses.replace(tiny_config, domains=domains, canonical_camera=True))
+    predictor = Predictor(model, resize=resize, camera=Lens(fov_x=70))
+    image = fence(300, 401)
+    whole = predictor(image, domain="indoor")
+    result = predict_tiled(predictor, image, tiles=(4, 4), domain="indoor")
+    assert (result.domain, result.camera) == (whole.domain, whole.camera)
+    assert result.focal_correction == whole.focal_correction != 1
+    assert whole.std is not None
+    assert result.std is not None
+    np.testing.assert_allclose(result.std / result.depth, whole.std / whole.depth, rtol=1e-4)
+    assert abs(np.log(result.depth / whole.depth).mean()) < 0.01
+    errors = [
+        np.abs(np.log(found.depth / found.focal_correction / (1 + image[..., 0] / 255))) for found in (whole, result)
+    ]
+    assert errors[1].mean() < 0.8 * errors[0].mean()
