@@ -90,7 +90,7 @@ def balanced(model: ZoeDepth) -> ZoeDepth:
 @contextmanager
 def traced_once(graph: Path) -> Iterator[None]:
     """Keep the ONNX graph that an export traces, or take it from there: every format that needs one has the same."""
-    trace = zoedepth.export.write._write_onnx
+    trace = zoedepth.export.write.write_onnx
 
     def kept(wrapped: ExportModel, path: Path) -> None:
         if not graph.exists():
@@ -98,5 +98,5 @@ def traced_once(graph: Path) -> Iterator[None]:
         shutil.copy(graph, path)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(zoedepth.export.write, "_write_onnx", kept)
+        patch.setattr(zoedepth.export.write, "write_onnx", kept)
         yield

@@ -152,7 +152,7 @@ def test_a_file_with_other_depth_is_refused_and_removed(
     tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     model = flat(tiny_config, 1)
-    write = zoedepth.export.write._write_onnx
+    write = zoedepth.export.write.write_onnx
 
     def spoiled(wrapped, path):
         bias = wrapped.model.decoder.relative_head.conv2.bias
@@ -163,7 +163,7 @@ def test_a_file_with_other_depth_is_refused_and_removed(
         with torch.no_grad():
             bias.copy_(before)
 
-    monkeypatch.setattr(zoedepth.export.write, "_write_onnx", spoiled)
+    monkeypatch.setattr(zoedepth.export.write, "write_onnx", spoiled)
     (tmp_path / "model.onnx").write_text(EARLIER)
     with pytest.raises(ExportError, match="gives other depth than torch"):
         export_model(model, tmp_path / "model.onnx", to="onnx")
