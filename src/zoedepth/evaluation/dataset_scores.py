@@ -2,7 +2,7 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -134,7 +134,7 @@ def score_dataset(
 T = TypeVar("T")
 
 
-def _in_order(function: Callable[[int], T], indices: list[int], *, workers: int) -> Iterator[T]:
+def _in_order(function: Callable[[int], T], indices: list[int], *, workers: int) -> Generator[T, None, None]:
     """Yield the results of a function in order, with so many calls at the same time; at most as many wait."""
     if workers < 2:
         yield from map(function, indices)
