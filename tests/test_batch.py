@@ -36,8 +36,8 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS, Maps, Options, sidecar, write_maps
 from zoedepth.panorama import predict_panorama
 from zoedepth.predict import Predictor
-from zoedepth.tiles import predict_tiled
 from zoedepth.stored import read_depth
+from zoedepth.tiles import predict_tiled
 
 
 class Brightness(Predictor):

@@ -65,7 +65,7 @@ class DepthMap:
     calibration: Calibration | None = None
     """The calibration by readings that ``depth`` and ``std`` went through last of all; None where they did not."""
     tiles: tuple[int, int] | None = None
-    """(rows, columns) of the tiles that the detail of ``depth`` comes from, see ``tiles``; None where there are none."""
+    """(rows, columns) of the tiles that the detail of ``depth`` comes from, see ``tiles``; None where it has none."""
 
     @property
     def size(self) -> tuple[int, int]:

@@ -131,9 +131,7 @@ def calibrate(
         intrinsics=intrinsics,
     )
     with download_progress() as progress:
-        network = load_for_prediction(
-            model, device=device, compat=compat, precision=precision, progress=progress
-        )
+        network = load_for_prediction(model, device=device, compat=compat, precision=precision, progress=progress)
     if not network.config.domains:
         raise InputError(f"{model} gives relative depth, which has no metres to calibrate: choose a model of metres")
     predictor = Predictor(
