@@ -1,8 +1,11 @@
 """The batches of a training depend on the seed and the step alone, and are shared among processes."""
 
+import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -63,6 +66,17 @@ def test_processes_share_every_batch(make_config: MakeConfig, data: Data) -> Non
     for whole, first, second in zip(read(config, data), *shares, strict=True):
         assert len(first.names) == len(second.names) == 2
         assert sorted(first.names + second.names) == sorted(whole.names)
+
+
+def test_a_signal_to_all_processes_leaves_the_samples_of_the_last_step(make_config: MakeConfig, data: Data) -> None:
+    training, _ = load_sources(make_config(n_workers=1, steps=30), data)
+    batches = iter(load_batches(make_config(n_workers=1, steps=30), OneOfSeveral(), training, first_step=0))
+    next(batches)
+    (worker,) = multiprocessing.active_children()
+    os.kill(cast(int, worker.pid), signal.SIGTERM)
+    assert len(list(batches)) == 29
+    worker.join(60)
+    assert worker.exitcode == 0
 
 
 @pytest.mark.parametrize("n_workers", [2])

@@ -1,5 +1,6 @@
 """The batches of a training: which samples this process reads at which step."""
 
+import signal
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
@@ -99,5 +100,11 @@ def load_batches(
         # A generator of its own: numbers drawn from the global one would differ after resuming.
         generator=torch.Generator(),
         prefetch_factor=4 if config.n_workers else None,
+        worker_init_fn=_ignore_termination,
     )
     return Batches(cast(Iterable[Batch], fabric.setup_dataloaders(loader, use_distributed_sampler=False)))
+
+
+def _ignore_termination(_: int) -> None:
+    """Leave SIGTERM to the process that trains: schedulers send it to all, and the last step needs its samples."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
