@@ -29,7 +29,10 @@ class Exporter:
         self.calls: list[tuple[str, bool, list[Path]]] = []
         self.error: Exception | BaseException | None = None
 
-    def __call__(self, model: Any, path: Path, *, to: str, int8: bool, photos: Sequence[Path]) -> float:
+    def __call__(
+        self, model: Any, path: Path, *, to: str, int8: bool, photos: Sequence[Path], accuracy_control: bool
+    ) -> float:
+        assert not accuracy_control
         self.calls.append((to, int8, list(photos)))
         path.parent.mkdir(parents=True)
         path.with_suffix(".bin").write_text("weights")

@@ -1,5 +1,6 @@
 """``zoedepth export MODEL --to FORMAT``: write a model for other programs."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,7 +39,7 @@ def export(
         size: height and width of a torch-export, multiples of 32; without it, the model's.
         compat: see `zoedepth predict`.
         json_: print one JSON object instead of the name: files, format, int8, difference (the largest median relative
-            difference to torch's depth), licence and trained_on.
+            difference to torch's depth; the mean one over photos in int8), licence and trained_on.
     """
     from zoedepth.batch import find_photos
     from zoedepth.commands.progress import download_progress
@@ -65,8 +66,10 @@ def export(
         network = load_model(model, compat=compat, progress=progress)
     console = Console(stderr=True, highlight=False)
     with console.status(f"writing and checking {path.name}"):
-        difference = export_model(network, path, to=to, int8=int8, photos=photos, size=size)
-    console.print(f"depth differs from torch's by {difference:.1e} of itself (largest median of the check)")
+        tell = partial(console.print, soft_wrap=True, markup=False)
+        difference = export_model(network, path, to=to, int8=int8, photos=photos, size=size, tell=tell)
+    what = "mean over the photos of the check" if int8 else "largest median of the check"
+    console.print(f"depth differs from torch's by {difference:.1e} of itself ({what})")
     if json_:
         files = [path, path.with_suffix(".bin")] if to == "openvino" else [path]
         about = network.provenance

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,14 @@ _FIRST_LAYERS = (".*/conv_stem/.*", ".*/blocks[.]0/.*")
 alone changed the depth of zoed-lite by 2 %."""
 
 
-def quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -> Any:
+def quantized(
+    model: DepthModel,
+    converted: Any,
+    photos: Sequence[str | Path],
+    *,
+    accuracy_control: bool = True,
+    tell: Callable[[str], object] = lambda _: None,
+) -> Any:
     """Return a graph of OpenVINO whose encoder and decoder compute in 8-bit integers.
 
     Where its depth differs more than ``TOLERANCE_INT8`` allows, NNCF takes the layers back to float32 one by one, those
@@ -41,6 +48,8 @@ def quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -
         model: the model.
         converted: its graph in float32.
         photos: photos to calibrate on, a few hundred like those that the model will see.
+        accuracy_control: False takes no layer back.
+        tell: called with a sentence before layers are taken back.
     """
     import nncf
 
@@ -59,7 +68,12 @@ def quantized(model: DepthModel, converted: Any, photos: Sequence[str | Path]) -
         "ignored_scope": ignored,
     }
     graph = nncf.quantize(converted, nncf.Dataset(inputs), **options)
-    if mean_rel(_depths(_compiled(graph), compared), expected) > TOLERANCE_INT8:
+    rel = mean_rel(_depths(_compiled(graph), compared), expected)
+    if rel > TOLERANCE_INT8 and accuracy_control:
+        tell(
+            f"In 8 bits the depth of these photos differs by {rel:.1%}: layers are taken back to float32 until it is "
+            f"{TOLERANCE_INT8:.0%}, which takes minutes to hours"
+        )
 
         def closeness(compiled: Any, data: Any) -> tuple[float, list[float]]:
             numbers = [int(number) for number in data]

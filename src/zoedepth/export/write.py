@@ -9,8 +9,9 @@ import re
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
+from functools import partial
 from importlib.util import find_spec
 from io import BytesIO, StringIO
 from pathlib import Path
@@ -48,6 +49,8 @@ def export_model(
     int8: bool = False,
     photos: Sequence[str | Path] = (),
     size: tuple[int, int] | None = None,
+    accuracy_control: bool = True,
+    tell: Callable[[str], object] = lambda _: None,
 ) -> float:
     """Write a model for another program, run the file, and keep it only if its depth is the same as torch's.
 
@@ -61,6 +64,8 @@ def export_model(
         int8: compute products of encoder and decoder in 8-bit integers (OpenVINO); heads and router stay in float32.
         photos: photos to calibrate int8 on; a few hundred like those that the model will see.
         size: (height, width) of a torch-export, whose size is fixed; None: the model's.
+        accuracy_control: False makes no second attempt at int8 with more layers in float32, which takes long.
+        tell: called with a sentence before something that takes long.
 
     Returns:
         The difference that the check found: the largest median relative difference, or the mean one over photos in
@@ -84,8 +89,15 @@ def export_model(
         part = Path(name) / path.name
         try:
             with _without_chatter():
+                quantize = partial(quantized, model, photos=photos, accuracy_control=accuracy_control, tell=tell)
                 difference = _write(
-                    model, wrapped, part, to=to, photos=photos if int8 else (), size=size or model.config.size
+                    model,
+                    wrapped,
+                    part,
+                    to=to,
+                    photos=photos if int8 else (),
+                    quantize=quantize,
+                    size=size or model.config.size,
                 )
         except RuntimeError as error:  # the errors of all exporters are kinds of it
             raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
@@ -186,6 +198,7 @@ def _write(
     *,
     to: Format,
     photos: Sequence[str | Path],
+    quantize: Callable[[Any], Any],
     size: tuple[int, int],
 ) -> float:
     """Write and check in one of the formats, with photos in 8 bits. Return the difference."""
@@ -197,7 +210,7 @@ def _write(
     if to == "onnx":
         _complete_onnx(model, graph)
         return _check(model, path)
-    _write_openvino(model, graph, path, photos)
+    _write_openvino(model, graph, path, quantize if photos else None)
     graph.unlink()
     return _check_int8(model, path, photos) if photos else _check(model, path)
 
@@ -287,13 +300,13 @@ def complete(graph: Any, model: DepthModel) -> None:
         graph.graph.initializer.append(onnx.helper.make_tensor(DOMAIN, onnx.TensorProto.INT64, [1], [-1]))
 
 
-def _write_openvino(model: DepthModel, graph: Path, path: Path, photos: Sequence[str | Path]) -> None:
+def _write_openvino(model: DepthModel, graph: Path, path: Path, quantize: Callable[[Any], Any] | None) -> None:
     import openvino
 
     with _without_telemetry():
         converted = openvino.convert_model(graph)
-        if photos:
-            converted = quantized(model, converted, photos)
+        if quantize is not None:
+            converted = quantize(converted)
     converted.set_rt_info(metadata(model), METADATA)
     openvino.save_model(converted, path, compress_to_fp16=False)
 

@@ -121,6 +121,7 @@ def _make(source: Source, runtime: Runtime, photos: Sequence[Path], folder: Path
             to="onnx" if runtime.suffix == ".onnx" else "openvino",
             int8=runtime.numbers == "int8",
             photos=photos,
+            accuracy_control=False,  # for this machine alone it takes too long
         )
         for older in folder.parent.glob(f"{_kind(source, runtime)}-????????????????"):
             shutil.rmtree(older, ignore_errors=True)
