@@ -63,11 +63,19 @@ def test_accelerators_are_known_by_their_drivers(
     expected: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delitem(sys.modules, "torch")
     monkeypatch.setattr(sys, "platform", system)
     monkeypatch.setattr(platform, "machine", lambda: machine)
     monkeypatch.setattr(module, "find_library", lambda name: library if name == "nvcuda" else None)
     monkeypatch.setattr(module, "_DRIVERS", drivers)
     assert has_accelerator() == expected
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_torch_that_is_there_is_asked_for_accelerators(found: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_DRIVERS", () if found else (__file__,))
+    monkeypatch.setattr(torch.accelerator, "is_available", lambda: found)
+    assert has_accelerator() == found
 
 
 @pytest.mark.parametrize(("said", "asleep"), [("PASSIVE", True), ("passive", True), ("ACTIVE", False), (None, False)])

@@ -12,8 +12,11 @@ from ctypes.util import find_library
 
 _VARIABLE = "OMP_NUM_THREADS"
 """Variable of the environment that torch reads once, when it is imported."""
-_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")
-"""Files of Linux where there is a driver: NVIDIA's, AMD's, and that of either under Windows."""
+_DRIVERS = ("/dev/nvidiactl", "/dev/nvmap", "/dev/kfd", "/dev/dxg", "/sys/module/xe")
+"""Files of Linux where there is a driver: NVIDIA's, that of its Jetson, AMD's, that of either under Windows, Intel's.
+
+Intel's older driver, i915, is on every laptop, most of which have nothing that torch can use.
+"""
 
 
 def cpu_count() -> int:
@@ -24,8 +27,12 @@ def cpu_count() -> int:
 def has_accelerator() -> bool:
     """Return True if there are signs of a device that torch may prefer to the processor. It need not be usable.
 
-    These are drivers of NVIDIA and AMD, and Apple's processors. Asking torch itself would take seconds.
+    Torch is asked where it is imported already, which takes seconds. Elsewhere the signs are drivers of NVIDIA, AMD and
+    Intel, and Apple's processors.
     """
+    accelerator = getattr(sys.modules.get("torch"), "accelerator", None)  # torch 2.6 has the first
+    if accelerator is not None:
+        return accelerator.is_available()
     if sys.platform == "darwin":
         return platform.machine() == "arm64"
     if sys.platform == "win32":

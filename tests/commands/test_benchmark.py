@@ -82,7 +82,7 @@ def test_table_on_a_terminal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.Cap
     assert "--fast --model other.safetensors" in said
 
 
-def test_options_arrive(tmp_path: Path, asked: dict[str, Any]) -> None:
+def test_options_arrive(tmp_path: Path, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "photos").mkdir()
     for name in ("a.png", "b.jpg"):
         Image.new("RGB", (4, 4)).save(tmp_path / "photos" / name)
@@ -92,6 +92,7 @@ def test_options_arrive(tmp_path: Path, asked: dict[str, Any]) -> None:
     assert [photo.name for photo in asked["photos"]] == ["a.png", "b.jpg"]
     assert (asked["model"], asked["repeats"], asked["flip_average"], asked["int8"]) == ("m.pt", 3, False, False)
     assert (asked["device"], asked["at_once"], asked["compat"]) == ("cpu", 5, ("squeeze",))
+    assert "--fast --model m.pt --device cpu --compat squeeze\n" in capsys.readouterr().out
 
 
 def test_json_has_everything_and_is_replaced(tmp_path: Path) -> None:

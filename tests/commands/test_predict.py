@@ -400,7 +400,7 @@ class TestFast:
         assert "Fast: torch, bfloat16 (it [was] measured)" in capsys.readouterr().err
         assert json.loads((tmp_path / "out/photo.json").read_text())["runtime"] == "torch, bfloat16"
         expected = Predictor(tiny_model, precision="bfloat16")(photo).depth
-        np.testing.assert_allclose(np.load(tmp_path / "out/photo_depth.npy"), expected, rtol=1e-5)
+        np.testing.assert_allclose(np.load(tmp_path / "out/photo_depth.npy"), expected, rtol=2e-2)
         assert (fast["name"], fast["compat"], fast["device"], fast["streams"], fast["metres"]) == (
             "zoed-lite", ("squeeze",), "auto", 1, True,
         )  # fmt: skip

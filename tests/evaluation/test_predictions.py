@@ -38,8 +38,10 @@ from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 from zoedepth.stored.maps import RELATIVE_KEY
+from zoedepth.weights.exported import load_exported
 from zoedepth.weights.fingerprint import weights_fingerprint
 from zoedepth.weights.load import load_model
+from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.save import save_model
 
 PROTOCOLS = {"indoor": EVERYWHERE, "outdoor": replace(EVERYWHERE, max_depth=80.0)}
@@ -568,3 +570,10 @@ def test_file_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"60 x 40, and photo\.jpg 40 x 60 .*turn one"):
         predict(file_of(tmp_path, np.ones((60, 40))), photo((40, 60)), PLAIN)
     assert predict(file_of(tmp_path, np.ones((40, 40))), photo((40, 40)), PLAIN)[0].depth.shape == (40, 40)
+
+
+def test_exported_model_predicts_one_photo_at_a_time(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its threads are fixed when it is loaded."""
+    monkeypatch.setattr("zoedepth.evaluation.predictions.cpu_count", lambda: 3)
+    assert ModelSource(tiny_model).workers == 3
+    assert ModelSource(load_exported(ASSETS / "zoed-lite.onnx")).workers == 1

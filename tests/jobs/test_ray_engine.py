@@ -8,14 +8,18 @@ from tests.jobs.photos import contents, entries, write_photo, write_photos
 
 from zoedepth.batch import Request
 from zoedepth.errors import InputError
+from zoedepth.jobs import ray_engine
 from zoedepth.jobs.inputs import Sources
 from zoedepth.jobs.place import job_place
-from zoedepth.jobs.ray_engine import run_on_ray
+from zoedepth.jobs.ray_engine import Recipe, run_on_ray
 from zoedepth.jobs.run import Tally, run_job
 from zoedepth.jobs.shard import JobShard
 from zoedepth.jobs.work import Done
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
+from zoedepth.threads import threads
+from zoedepth.weights.exported import ExportedModel, load_exported
+from zoedepth.weights.releases import ASSETS
 
 REQUEST = Request("tiny", ("npy",))
 
@@ -54,6 +58,21 @@ def test_it_does_what_one_process_does(tmp_path: Path, tiny_model: ZoeDepth) -> 
     results, tally = on_ray(sources, tmp_path / "out", predictor, tell_done=True)
     assert (tally.before, tally.done) == (10, 0)
     assert all(done.before for done in results)
+
+
+def test_exported_file_is_loaded_in_the_precision_that_was_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("ray", reason="the extra [ray] is not installed")
+    asked: dict[str, object] = {}
+
+    def load(name: str, **options: object) -> ExportedModel:
+        asked.update(options, name=name)
+        return load_exported(ASSETS / "zoed-lite.onnx")
+
+    monkeypatch.setattr(ray_engine, "load_for_prediction", load)
+    recipe = Recipe("model.xml", None, "cpu", "bfloat16", False, True, False, "none", None)
+    with threads(1):
+        assert recipe.predictor().precision == "bfloat16"
+    assert asked == {"name": "model.xml", "device": "cpu", "precision": "bfloat16"}
 
 
 def test_members_of_compressed_tar_files_are_refused(tmp_path: Path, tiny_model: ZoeDepth) -> None:

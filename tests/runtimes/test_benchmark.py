@@ -301,4 +301,4 @@ def test_free_memory_is_read_where_the_system_tells_it(tmp_path: Path, monkeypat
     monkeypatch.setattr(benchmarks, "MEMINFO", tmp_path / "meminfo")
     assert free_memory() is None
     (tmp_path / "meminfo").write_text("MemTotal: 9 kB\nMemAvailable:  5000 kB\n")
-    assert free_memory() == 5
+    assert free_memory() == pytest.approx(5.12)

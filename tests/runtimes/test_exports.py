@@ -78,6 +78,8 @@ def test_other_versions_make_it_again_and_the_old_one_goes(
     assert not before.exists()
     assert len(exporter.calls) == 3
     assert files(cache) == 2 * ["model.bin"] + 2 * ["model.xml"]  # that of int8 is another kind
+    exported_file(source, INT8, photos=[weights])
+    assert files(cache) == 2 * ["model.bin"] + 2 * ["model.xml"]
 
 
 def test_libraries_that_have_no_part_in_a_file_do_not_matter(
@@ -106,6 +108,7 @@ def test_photos_of_the_calibration_count_by_their_content(
     moved = [photo.rename(photo.with_name(f"moved-{photo.name}")) for photo in photos]
     assert exported_file(source, INT8, photos=moved) == first
     assert exported_file(source, INT8, photos=moved[:1]) != first
+    assert first.is_file(), "another choice may point to it"
     assert [call[1:] for call in exporter.calls] == [(True, photos), (True, moved[:1])]
 
 

@@ -17,6 +17,8 @@ from zoedepth.runtimes.exports import find_source
 from zoedepth.runtimes.fast import Fast, compare_predictors, decide, load_fast, order
 from zoedepth.runtimes.machine import Machine, versions
 from zoedepth.runtimes.runtime import Runtime
+from zoedepth.runtimes.worker import largest_rel
+from zoedepth.threads import thread_count, threads
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import ASSETS
 
@@ -122,7 +124,7 @@ class TestLoadFast:
         monkeypatch.setattr(fasts, "exported_file", lambda *_, **__: pytest.fail("its photos are not known here"))
         chosen(weights, here, "OpenVINO, int8", file=str(weights.with_name("gone.xml")))
         found = load_fast(weights)
-        assert found.runtime == "torch, float32"
+        assert (found.runtime, found.device) == ("torch, float32", "auto")
         assert "gone.xml" in found.why
 
     def test_relative_depth_and_named_devices_stay_with_torch(
@@ -150,6 +152,8 @@ class TestLoadFast:
     def test_exported_file_runs_in_its_own_runtime(self) -> None:
         found = load_fast(ASSETS / "zoed-lite.onnx")
         assert (found.runtime, found.precision) == ("ONNX Runtime, float32", "float32")
+        with pytest.raises(InputError, match="built in"):
+            load_fast(ASSETS / "zoed-lite.onnx", compat=["squeeze"])
 
 
 class TestDecide:
@@ -206,6 +210,25 @@ class TestDecide:
         assert (choice.runtime, holds) == ("OpenVINO, float32", False)
         assert "no memory" in choice.why
 
+    def test_all_cores_measure_whatever_share_a_photo_has(
+        self, weights: Path, here: Machine, exported: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(fasts, "cpu_count", lambda: 3)
+        found: list[int] = []
+
+        def measure(on_gpu: bool) -> dict[str, float]:
+            found.append(thread_count())
+            return QUICK
+
+        def compare(base: Predictor, other: Predictor) -> tuple[float, float]:
+            found.append(thread_count())
+            return 0.0, 2.0
+
+        with threads(1):
+            decide(find_source(weights), here, measure=measure, compare=compare)
+            found.append(thread_count())
+        assert found == [3, 3, 1]
+
     def test_gpu_comes_first(self, weights: Path, here: Machine, exported: dict[str, Any]) -> None:
         machine = replace(here, accelerator="H200")
         choice, _ = decide(find_source(weights), machine, measure=lambda on_gpu: SLOW if on_gpu else QUICK)
@@ -236,3 +259,5 @@ def test_predictors_are_compared_on_the_photos_of_the_package(
     expected = [np.mean(np.abs(other(photo).depth / base(photo).depth - 1)) for photo in photos]
     assert rel == pytest.approx(max(expected), rel=1e-4)
     assert times > 0
+    monkeypatch.setattr(fasts, "largest_rel", lambda depths, base: largest_rel([x * np.nan for x in depths], base))
+    assert compare_predictors(base, other)[0] == float("inf")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxruntime
 import openvino
 import pytest
 import torch
@@ -245,3 +246,21 @@ def test_programs_of_torch_are_named(tmp_path: Path):
     for name, message in (("model.pt2", r"is a torch-export.*torch\.export\.load"), ("model.pt", "is a TorchScript")):
         with pytest.raises(InputError, match=message):
             load_model(tmp_path / name)
+
+
+@pytest.mark.parametrize(("packaged", "first"), [(True, "CPUExecutionProvider"), (False, "CUDAExecutionProvider")])
+def test_graphs_of_the_package_run_on_the_cpu_alone(
+    packaged: bool, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where ONNX Runtime's package for GPUs is installed, too."""
+    session, asked = onnxruntime.InferenceSession, list[str]()
+
+    def start(path: str, options: object, *, providers: list[str]) -> object:
+        asked.extend(providers)
+        return session(path, options, providers=providers[-1:])
+
+    available = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
+    monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
+    monkeypatch.setattr(onnxruntime, "InferenceSession", start)
+    load_exported(ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx"))
+    assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if packaged else 2)

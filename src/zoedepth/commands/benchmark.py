@@ -1,7 +1,8 @@
 """``zoedepth benchmark [MODEL]``: every runtime of this machine, and the fastest one for ``predict --fast``."""
 
+import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 from rich.console import Console
@@ -34,7 +35,7 @@ def benchmark(
     repeats: int = 7,
     flip: bool = True,
     int8: bool = True,
-    device: str = "auto",
+    device: Literal["auto", "cpu"] = "auto",
     workers: int | None = None,
     compat: tuple[str, ...] = (),
     json_: Annotated[Path | None, tyro.conf.arg(name="json", metavar="FILE")] = None,
@@ -100,7 +101,7 @@ def benchmark(
     console = Console(highlight=False)
     for line in _table(result.rows, chosen=result.choice.runtime):
         console.print(line, soft_wrap=True)
-    for line in _told(result, model):
+    for line in _told(result, model, device=device, compat=compat):
         console.print(line, soft_wrap=True, markup=False)
     if json_ is not None:
         about = {
@@ -162,8 +163,8 @@ def _cells(row: "Row") -> tuple[str, ...]:
     )
 
 
-def _told(result: "Benchmark", model: str) -> "Iterator[str]":
-    """Yield what there is to say below the table."""
+def _told(result: "Benchmark", model: str, *, device: str, compat: "Sequence[str]") -> "Iterator[str]":
+    """Yield what there is to say below the table, and the command that takes the choice: one for the same options."""
     from zoedepth.runtimes.choice import ENOUGH_PHOTOS, MAX_REL
 
     choice = result.choice
@@ -174,4 +175,11 @@ def _told(result: "Benchmark", model: str) -> "Iterator[str]":
     )
     chosen = next(row for row in result.rows if row.runtime == choice.runtime)
     yield f"Chosen: {choice.runtime}, {chosen.photos_a_second:.2f} photos a second, REL {chosen.difference:.1e}."
-    yield f"To use it: zoedepth predict PHOTOS --out FOLDER --fast{'' if model == 'zoed-lite' else f' --model {model}'}"
+    options = ["--fast"]
+    if model != "zoed-lite":
+        options += ["--model", model]
+    if device != "auto":
+        options += ["--device", device]
+    if compat:
+        options += ["--compat", *compat]
+    yield f"To use it: zoedepth predict PHOTOS --out FOLDER {shlex.join(options)}"

@@ -90,7 +90,8 @@ def calibrate(
             calibrated. "model" does so where the model was trained in one canonical camera, and where the camera is
             given by an option.
         compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
-        device: cpu, cuda, mps, or auto for the best there is.
+        device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
+            accelerator is found.
         precision: bfloat16 is faster on hardware made for it.
         json_: print one JSON object, the calibration, and nothing else.
     """

@@ -151,11 +151,12 @@ def predict(
         vmax: depth of the last colour in metres; without it, from each photo.
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
         max_triangles: triangles of a mesh (--save glb), at most; 0 keeps all, one or two for each pixel.
-        device: cpu, cuda, mps, or auto for the best there is.
+        device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
+            accelerator is found.
         precision: bfloat16 is faster on hardware made for it.
-        fast: let that compute which does it fastest on this machine, as `zoedepth benchmark` has found it for this
-            model; without that, as is known of the runtimes that are installed. The depth is within 1 %. The first time
-            exports the model to the user's cache.
+        fast: compute with the runtime that `zoedepth benchmark` found fastest here; where it was not run, choose by
+            what docs/performance.md measured. The depth is within 1 %. The first time exports the model to the user's
+            cache.
         workers: photos computed at the same time, each from file to files; without it as many as there are cores. Each
             needs memory of its own: give 1 for large models where there is little.
         overwrite: predict those photos again, too, that are done.

@@ -56,7 +56,8 @@ def serve(
         workers: processes, each with models and a queue of its own.
         threads: photos that are computed at the same time in a process; without it, one on each core.
         batch_size: photos of one size that go through a model together; without it 8 on an accelerator, 1 on the CPU.
-        device: cpu, cuda, mps, or auto for the best there is.
+        device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
+            accelerator is found.
         precision: bfloat16 is faster on hardware made for it.
         token_file: file with a token that every request must bring (Authorization: Bearer TOKEN). The variable
             ZOEDEPTH_TOKEN of the environment says one, too.

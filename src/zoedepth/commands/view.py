@@ -55,7 +55,8 @@ def view(
         fov_diagonal: field of view, degrees from corner to corner.
         focal_px: focal length in pixels.
         intrinsics: focal lengths and principal point in pixels.
-        device: cpu, cuda, mps, or auto for the best there is.
+        device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
+            accelerator is found.
     """
     page = out or Path(f"{source.stem}.html")
     if page.suffix.lower() not in (".html", ".htm"):

@@ -2,7 +2,7 @@
 
 Where nobody has brought the depth into the photo's camera, every pixel has the depth of another one. Edges tell it:
 where depth jumps, photos have edges nearly always. The scale and shift at which most jumps fall on edges are those
-between the two cameras. Nobody's data is changed.
+between the two cameras. The data set is only read.
 """
 
 import itertools

@@ -137,7 +137,13 @@ class ModelSource:
 
     @property
     def workers(self) -> int:
-        """Photos that are best predicted at the same time: on the CPU one a core, up to four, for each takes memory."""
+        """Photos that are best predicted at the same time, each with its share of the cores.
+
+        On the CPU these are as many as there are cores, up to four, as each takes memory. An exported model takes all
+        cores for one, since its threads are fixed when it is loaded.
+        """
+        if isinstance(self.model, ExportedModel):
+            return 1
         return min(cpu_count(), _MOST_WORKERS) if self.model.device.type == "cpu" else 1
 
     def state(self, name: str) -> str | None:

@@ -63,9 +63,12 @@ class Recipe:
         import ray
 
         set_thread_count(1)
-        network: "DepthModel | ExportedModel" = (
-            load_for_prediction(self.model, device="cpu") if self.network is None else ray.get(self.network)
-        )
+        network: "DepthModel | ExportedModel"
+        if self.network is None:  # exported files know no float16, which the predictor refuses
+            precision = "bfloat16" if self.precision == "bfloat16" else "float32"
+            network = load_for_prediction(self.model, device="cpu", precision=precision)
+        else:
+            network = ray.get(self.network)
         return Predictor(
             network,
             flip_average=self.flip_average,

@@ -203,7 +203,8 @@ def measure(
 ) -> dict[str, Row]:
     """Measure rows, which take turns, so that a drift of the machine's speed hits all alike.
 
-    They are all in memory meanwhile. Where that is too small, those that there are go first, and make room.
+    They are all in memory meanwhile. Where that is too small, the processes that run already
+    finish and end before the next ones start.
 
     Args:
         works: the rows; the first is the one that depths are compared with.
@@ -298,4 +299,4 @@ def free_memory() -> float | None:
         lines = MEMINFO.read_text(encoding="ascii", errors="replace").splitlines()
     except OSError:
         return None
-    return next((int(line.split()[1]) / 1000 for line in lines if line.startswith("MemAvailable")), None)
+    return next((int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("MemAvailable")), None)

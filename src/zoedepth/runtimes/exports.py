@@ -74,7 +74,7 @@ def exported_file(
     """
     if runtime.suffix == ".onnx" and (packaged := packaged_graph(source)) is not None:
         return packaged
-    folder = cache_folder() / "exports" / f"{_kind(source, runtime)}-{_key(runtime, photos)}"
+    folder = cache_folder() / "exports" / f"{_prefix(source, runtime)}{_photos_key(runtime, photos)}"
     file = folder / f"{STEM}{runtime.suffix}"
     if file.is_file():
         return file
@@ -91,14 +91,18 @@ def _kind(source: Source, runtime: Runtime) -> str:
     return f"{source.weights}-{runtime.library.lower().replace(' ', '-')}{'-int8' if runtime.numbers == 'int8' else ''}"
 
 
-def _key(runtime: Runtime, photos: Sequence[Path]) -> str:
+def _prefix(source: Source, runtime: Runtime) -> str:
+    """Return how the folders of a model, runtime and versions begin; those of int8 differ in the photos, too."""
     assert runtime.suffix is not None, "torch needs no exported file"
     found = versions()
     makers = {name: found[name] for name in _MAKERS[runtime.suffix]}
     if runtime.numbers == "int8":
         makers["nncf"] = found["nncf"]
-        return fingerprint([makers, [content(photo) for photo in photos]])
-    return fingerprint(makers)
+    return f"{_kind(source, runtime)}-{fingerprint(makers)}"
+
+
+def _photos_key(runtime: Runtime, photos: Sequence[Path]) -> str:
+    return f"-{fingerprint([content(photo) for photo in photos])}" if runtime.numbers == "int8" else ""
 
 
 def packaged_graph(source: Source) -> Path | None:
@@ -123,8 +127,12 @@ def _make(source: Source, runtime: Runtime, photos: Sequence[Path], folder: Path
             photos=photos,
             accuracy_control=False,  # for this machine alone it takes too long
         )
-        for older in folder.parent.glob(f"{_kind(source, runtime)}-????????????????"):
-            shutil.rmtree(older, ignore_errors=True)
+        each = "?" * 16  # of a hash
+        pattern = f"{_kind(source, runtime)}-{each}{f'-{each}' if runtime.numbers == 'int8' else ''}"
+        for other in folder.parent.glob(pattern):
+            # Files of these versions, calibrated on other photos, are those of other choices.
+            if not other.name.startswith(_prefix(source, runtime)):
+                shutil.rmtree(other, ignore_errors=True)
         draft.replace(folder)
     finally:
         shutil.rmtree(draft, ignore_errors=True)

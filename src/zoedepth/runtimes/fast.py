@@ -1,21 +1,20 @@
-"""Load a model for what computes it fastest on this machine: as ``zoedepth benchmark`` has found it, or by less.
+"""Load a model for what computes it fastest on this machine.
 
-Where no benchmark of these weights was run here with these versions, decide by what is known without one, and write it
-down. OpenVINO comes first: of everything in float32 in docs/performance.md it is the fastest. ONNX Runtime follows for
-the model in the package, which starts in it without torch. For other models torch does: ONNX Runtime takes 1.15 times
-as long there. bfloat16 is taken where products in it are faster than in float32, if the model is faster then, too, and
-gives the same depth.
+That is what ``zoedepth benchmark`` has found, or, without a benchmark of these weights here with these versions, what
+follows from the installed runtimes and one measured product, which is written down. OpenVINO comes first: of everything
+in float32 in docs/performance.md it is the fastest. ONNX Runtime follows for the model in the package, which starts in
+it without torch. For other models torch does: ONNX Runtime takes 1.15 times as long there. bfloat16 is taken where
+products in it are faster than in float32, if the model is faster then, too, and gives the same depth.
 """
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from zoedepth.download import Progress
 from zoedepth.errors import InputError, ZoeDepthError
@@ -28,7 +27,10 @@ from zoedepth.runtimes.exports import Source, exported_file, find_source, packag
 from zoedepth.runtimes.machine import Machine, this_machine, versions
 from zoedepth.runtimes.products import products
 from zoedepth.runtimes.runtime import BASE, RUNTIMES, Library, Runtime
-from zoedepth.weights.exported import ExportedModel, is_exported, load_exported
+from zoedepth.runtimes.worker import largest_rel
+from zoedepth.threads import cpu_count, threads
+from zoedepth.weights.exported import ExportedModel, is_exported
+from zoedepth.weights.load import load_model
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -83,11 +85,12 @@ def load_fast(
         tell: called with a sentence before something that takes long; None: a line in the log.
 
     Raises:
-        InputError: there is no such model, or it cannot be loaded.
+        InputError: there is no such model, it cannot be loaded, or ``compat`` is given for an exported file.
     """
     say = tell or _log.warning
     if is_exported(model):
-        network = load_exported(model, streams=streams)
+        network = load_model(model, compat=compat, streams=streams)
+        assert isinstance(network, ExportedModel)
         return Fast(
             network, f"{network.runtime}, {network.precision}", "the file is of this runtime", "float32", device
         )
@@ -114,7 +117,7 @@ def load_fast(
     except (ZoeDepthError, OSError) as error:
         if runtime.library == BASE.library:
             raise
-        return _base(source, "cpu", f"{runtime.name} was chosen and cannot be had: {error}")
+        return _base(source, device, f"{runtime.name} was chosen and cannot be had: {error}")
     precision = runtime.precision if runtime.suffix is None else "float32"
     return Fast(network, runtime.name, choice.why, precision, device if runtime.on_gpu else "cpu")
 
@@ -176,15 +179,17 @@ def decide(
     reasons.insert(0, "a GPU is here" if chosen.on_gpu else "fastest of docs/performance.md that is installed here")
     half = Runtime(chosen.library, "bfloat16", chosen.on_gpu)
     if half.name in RUNTIMES:
-        found = products(machine, measure=measure)
+        with threads(cpu_count()):  # all, whatever the photos that will be computed at the same time have each
+            found = products(machine, measure=measure)
         ratio = found["bfloat16"] / found["float32"]
         reasons.append(f"products in bfloat16 are {ratio:.2f} times as fast as in float32 here")
         if ratio > FAST_PRODUCTS:
             tell(f"Comparing {half.name} with float32, once")
             try:
-                rel, times = (compare or compare_predictors)(
-                    *(_predictor(source, runtime, tell) for runtime in (chosen, half))
-                )
+                with threads(cpu_count()):
+                    rel, times = (compare or compare_predictors)(
+                        *(_predictor(source, runtime, tell) for runtime in (chosen, half))
+                    )
             except (ZoeDepthError, OSError) as error:
                 failures.append(error)
                 reasons.append(f"bfloat16 failed: {error}")
@@ -216,20 +221,22 @@ def order(*, packaged: bool) -> tuple[Library, ...]:
 def compare_predictors(base: Predictor, other: Predictor) -> tuple[float, float]:
     """Return the largest REL that another predictor has on the photos of the package, and how many times faster it is.
 
-    They take turns on the first photo, and the fastest of three counts.
+    The REL is infinite where a depth is not finite. They take turns on the first photo, and the fastest of three times
+    counts.
     """
     images = [read_image(photo) for photo in EXAMPLES]
-    rels = []
-    for image in images:
-        expected = base(image).depth
-        rels.append(float(np.mean(np.abs(other(image).depth - expected) / expected)))
+    expected, depths = ([predictor(image).depth for image in images] for predictor in (base, other))
+    try:
+        rel = largest_rel(depths, expected)
+    except InputError:
+        rel = math.inf
     seconds: dict[Predictor, list[float]] = {base: [], other: []}
     for _ in range(3):
         for predictor, times in seconds.items():
             started = time.perf_counter()
             predictor(images[0])
             times.append(time.perf_counter() - started)
-    return max(rels) if np.isfinite(rels).all() else float("inf"), min(seconds[base]) / min(seconds[other])
+    return rel, min(seconds[base]) / min(seconds[other])
 
 
 def _predictor(source: Source, runtime: Runtime, tell: Callable[[str], object]) -> Predictor:

@@ -202,10 +202,10 @@ def largest_rel(depths: Sequence[DepthArray], expected: Sequence[DepthArray]) ->
 
 
 def peak_memory_mb() -> float | None:
-    """Return the most memory that this process has held; None on Windows."""
+    """Return the most memory that this process has held, in MB; None on Windows."""
     try:
         lines = STATUS.read_text(encoding="ascii", errors="replace").splitlines()
-        return next(int(line.split()[1]) / 1000 for line in lines if line.startswith("VmHWM"))
+        return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM"))
     except (OSError, StopIteration):
         pass
     if sys.platform != "darwin":

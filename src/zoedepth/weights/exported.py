@@ -129,7 +129,10 @@ _SPINNING = "session.intra_op.allow_spinning"
 
 
 class OnnxModel(ExportedModel):
-    """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU."""
+    """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU.
+
+    The graphs of the package always run on the CPU.
+    """
 
     runtime = "ONNX Runtime"
 
@@ -149,7 +152,9 @@ class OnnxModel(ExportedModel):
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
         if wait_asleep():
             options.add_session_config_entry(_SPINNING, "0")
-        wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
+        wanted = ["CPUExecutionProvider"]
+        if path.parent != ASSETS:  # those graphs run where the CPU was asked for
+            wanted.insert(0, "CUDAExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
             if checked:

@@ -83,7 +83,8 @@ def load_for_prediction(
 
     Args:
         name_or_path: see ``load_model``.
-        device: where the model is to run, see ``Predictor``: "auto" is the CPU where the machine has no accelerator.
+        device: where the model is to run, see ``Predictor``: "auto" is the CPU where no driver of an accelerator is
+            found, see ``has_accelerator``.
         compat: see ``load_model``.
         precision: see ``load_model``.
         streams: see ``load_model``.
