@@ -8,7 +8,7 @@ from PIL import Image
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.outputs import Maps
-from zoedepth.outputs.surface import MAX_TEXTURE, check_surface, surface_of, texture_of, written_surface
+from zoedepth.outputs.surface import MAX_TEXTURE, check_surface, surface_of, texture_of, unit_normals, written_surface
 
 SIZE = (6, 8)
 MAPS = Maps(depth=np.full(SIZE, 2, np.float32), camera=Camera.from_focal(10.0, SIZE))
@@ -46,3 +46,12 @@ def test_photo_is_reduced_to_what_browsers_show_and_that_is_said() -> None:
     assert "4096 pixels" in " ".join(written_surface(mesh, Maps(image=image)).notes)
     small = written_surface(mesh, Maps(image=image[:, :MAX_TEXTURE]))
     assert (small.facts, small.notes) == ({"triangles": 70}, ())
+
+
+def test_normals_without_length_point_to_the_camera() -> None:
+    mesh = surface_of(MAPS, None)
+    normals = mesh.normals * 1.001
+    normals[5] = 0
+    found = unit_normals(replace(mesh, normals=normals))
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-6)
+    np.testing.assert_allclose(found[5], -mesh.vertices[5] / np.linalg.norm(mesh.vertices[5]), atol=1e-6)

@@ -112,6 +112,10 @@ def test_without_a_photo_has_normals_and_no_texture(tmp_path: Path) -> None:
     text = scene(tmp_path / "a.usdz")
     np.testing.assert_allclose(array(text, "normals"), MESH.normals * (1, -1, -1), atol=5.1e-7)
     assert "Material" not in text
+    normals = MESH.normals.copy()
+    normals[5] = 0  # triangles without an area
+    write_usdz(tmp_path / "b.usdz", replace(MESH, normals=normals))
+    np.testing.assert_allclose(np.linalg.norm(array(scene(tmp_path / "b.usdz"), "normals"), axis=1), 1, atol=2e-6)
     with ZipFile(tmp_path / "a.usdz") as archive:
         assert archive.namelist() == ["photo.usda"]
 

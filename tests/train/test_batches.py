@@ -12,7 +12,7 @@ import torch
 
 from zoedepth.data.sample import Batch
 from zoedepth.errors import InputError
-from zoedepth.train.batches import Batches, load_batches
+from zoedepth.train.batches import Batches, _ignore_termination, load_batches
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import load_sources
 
@@ -77,6 +77,16 @@ def test_a_signal_to_all_processes_leaves_the_samples_of_the_last_step(make_conf
     assert len(list(batches)) == 29
     worker.join(60)
     assert worker.exitcode == 0
+
+
+def test_a_second_signal_ends_a_process_that_reads_samples() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        _ignore_termination(0)
+        signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @pytest.mark.parametrize("n_workers", [2])

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import Mesh
 from zoedepth.images import OWN_MARK, ImageArray, atomic_path
 from zoedepth.outputs.output import Maps, Options, Output, Written
-from zoedepth.outputs.surface import Y_UP, check_surface, surface_of, texture_of, written_surface
+from zoedepth.outputs.surface import Y_UP, check_surface, surface_of, texture_of, unit_normals, written_surface
 
 # Numbers of the standard (glTF 2.0): types of numbers, kinds of buffers, filters and edges of textures.
 _UINT32, _FLOAT32, _VERTICES, _INDICES = 5125, 5126, 34962, 34963
@@ -44,7 +43,7 @@ def write_glb(path: str | Path, mesh: Mesh, *, image: ImageArray | None = None) 
     arrays = {
         "indices": mesh.faces.astype("<u4").reshape(-1),
         "POSITION": (mesh.vertices * Y_UP).astype("<f4"),
-        "NORMAL": (_unit_normals(mesh) * Y_UP).astype("<f4"),
+        "NORMAL": (unit_normals(mesh) * Y_UP).astype("<f4"),
         "TEXCOORD_0": mesh.uv.astype("<f4"),
     }
     document: dict[str, Any] = {
@@ -103,13 +102,6 @@ def _write_container(path: str | Path, document: dict[str, Any], parts: list[byt
         for part in parts:
             file.write(part)
             file.write(bytes(_padded(len(part)) - len(part)))
-
-
-def _unit_normals(mesh: Mesh) -> Float32[np.ndarray, "vertices 3"]:
-    """Return the normals, as the standard asks for of length 1; where a triangle has no area, towards the camera."""
-    length = np.linalg.norm(mesh.normals, axis=1, keepdims=True)
-    away = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
-    return np.where(length > 0.5, mesh.normals / np.maximum(length, 0.5), -mesh.vertices / away)
 
 
 def _padded(n_bytes: int) -> int:

@@ -3,6 +3,7 @@
 from io import BytesIO
 
 import numpy as np
+from jaxtyping import Float32
 from PIL import Image
 
 from zoedepth.errors import InputError
@@ -42,6 +43,13 @@ def check_surface(mesh: Mesh) -> None:
     """
     if not len(mesh.faces):
         raise InputError("the depth makes no surface, for no two neighbouring pixels see the same one: save its points")
+
+
+def unit_normals(mesh: Mesh) -> Float32[np.ndarray, "vertices 3"]:
+    """Return the normals, which all have length 1; where a triangle has no area, towards the camera."""
+    length = np.linalg.norm(mesh.normals, axis=1, keepdims=True)
+    away = np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    return np.where(length > 0.5, mesh.normals / np.maximum(length, 0.5), -mesh.vertices / away)
 
 
 def texture_of(image: ImageArray) -> bytes:

@@ -16,7 +16,7 @@ from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import Mesh
 from zoedepth.images import OWN_MARK, ImageArray, atomic_path
 from zoedepth.outputs.output import Maps, Options, Output, Written
-from zoedepth.outputs.surface import Y_UP, check_surface, surface_of, texture_of, written_surface
+from zoedepth.outputs.surface import Y_UP, check_surface, surface_of, texture_of, unit_normals, written_surface
 
 _SCENE, _TEXTURE = "photo.usda", "photo.jpg"
 _ALIGNED = 64  # bytes of which the place of every file is a multiple
@@ -113,7 +113,7 @@ def Xform "photo" (
         yield _material(wrap="repeat" if mesh.camera is None else "clamp")
     else:
         yield "\n        normal3f[] normals = "
-        yield from _array(mesh.normals * Y_UP)
+        yield from _array(unit_normals(mesh) * Y_UP)
         yield ' (interpolation = "vertex")\n    }\n'
     if mesh.camera is not None:
         yield _camera(mesh.camera)

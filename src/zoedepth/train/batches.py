@@ -106,5 +106,8 @@ def load_batches(
 
 
 def _ignore_termination(_: int) -> None:
-    """Leave SIGTERM to the process that trains: schedulers send it to all, and the last step needs its samples."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    """Leave the first SIGTERM to the process that trains: schedulers send it to all, and the last step needs samples.
+
+    The second one ends the process, so that one that hangs can be ended.
+    """
+    signal.signal(signal.SIGTERM, lambda number, _: signal.signal(number, signal.SIG_DFL))
