@@ -18,6 +18,7 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "zoed_lite_relative": zoed_lite.relative,
     "zoed_lite_small": zoed_lite.small_metric,
     "zoed_lite": zoed_lite.metric,
+    "zoed_lite_longer": zoed_lite.longer_metric,
     "demo_relative": demo.relative,
     "demo": demo.metric,
     # Stage 1.

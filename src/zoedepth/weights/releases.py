@@ -68,11 +68,11 @@ RELEASES: dict[str, Release] = {
         "relative depth",
         graph="zoed-lite.onnx",
         measured={
-            "NYU Depth v2, 654 test pairs": _measured(0.172, 0.572, 0.071, 0.755, 0.942, 0.985),
-            "KITTI 2015, 38 pairs": _measured(0.103, 4.205, 0.046, 0.878, 0.977, 0.994),
-            "KITTI raw, one drive, 26 pairs": _measured(0.176, 5.434, 0.080, 0.746, 0.929, 0.960),
-            "7-Scenes, red kitchen, 40 pairs": _measured(0.291, 0.544, 0.107, 0.527, 0.850, 0.977),
-            "Replica, one flat, 41 pairs": _measured(0.259, 0.631, 0.114, 0.549, 0.823, 0.932),
+            "NYU Depth v2, 654 test pairs": _measured(0.164, 0.548, 0.067, 0.773, 0.948, 0.987),
+            "KITTI 2015, 38 pairs": _measured(0.093, 3.951, 0.041, 0.895, 0.982, 0.995),
+            "KITTI raw, one drive, 26 pairs": _measured(0.178, 5.228, 0.081, 0.747, 0.925, 0.962),
+            "7-Scenes, red kitchen, 40 pairs": _measured(0.270, 0.517, 0.101, 0.558, 0.874, 0.982),
+            "Replica, one flat, 41 pairs": _measured(0.252, 0.602, 0.109, 0.577, 0.829, 0.933),
         },
     ),
     "zoed-m12-n": Release(
