@@ -3,11 +3,12 @@
 import dataclasses
 import json
 import random
+import signal
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from threading import Event
+from threading import Event, main_thread
 from types import MappingProxyType
 from typing import Any
 
@@ -392,6 +393,28 @@ def test_images_scored_at_the_same_time_give_the_same_in_the_same_order(workers:
     assert found.failures == ["image 2: 2.jpg is broken"]
     assert told == list(range(7))
     assert score_files(source, samples, PROTOCOLS, tmp_path).read() == expected.scores
+
+
+def test_interrupted_it_keeps_what_is_in_hand(tmp_path: Path) -> None:
+    class Interrupted(FactorSource):
+        second_begins = Event()
+
+        def predict(self, sample: Sample, protocol: Protocol) -> Prediction:
+            if sample.name == "0.jpg":
+                assert self.second_begins.wait(60)
+                signal.pthread_kill(main_thread().ident or 0, signal.SIGINT)
+            self.second_begins.set()
+            return super().predict(sample, protocol)
+
+    source, samples = Interrupted(), photos(2)
+    files = score_files(source, samples, PROTOCOLS, tmp_path)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            score_dataset(source, samples, PROTOCOLS, files=files, workers=2)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert 0 in score_files(source, samples, PROTOCOLS, tmp_path).read()
 
 
 def test_an_error_among_several_at_once_ends_all() -> None:

@@ -1,15 +1,14 @@
 """Score one source on one data set: a line of JSON for each image, resumable, alone or among processes."""
 
 import os
-from collections import deque
 from collections.abc import Callable, Generator, Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
 from typing import TypeVar
 
+from zoedepth.batch import in_turn
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
 from zoedepth.evaluation.identity import Stamps
@@ -118,7 +117,7 @@ def score_dataset(
     indices = [index for index in range(processes.rank, len(data), processes.count) if index not in done]
     try:
         with closing(_in_order(scored, indices, workers=workers)) as results:
-            for _, (index, before, found) in zip(track(indices), results, strict=False):
+            for _, (index, before, found) in zip(track(indices), results, strict=True):
                 if isinstance(found, InputError):
                     failures.append(f"image {index}: {found}")
                     continue
@@ -135,22 +134,12 @@ T = TypeVar("T")
 
 
 def _in_order(function: Callable[[int], T], indices: list[int], *, workers: int) -> Generator[T, None, None]:
-    """Yield the results of a function in order, with so many calls at the same time; at most as many wait."""
+    """Yield the results of a function in order, with so many calls at the same time; at Ctrl-C those in hand, too."""
     if workers < 2:
         yield from map(function, indices)
         return
-    waiting: deque[Future[T]] = deque()
-    pool = ThreadPoolExecutor(workers, "score")
-    try:
-        with threads(max(1, cpu_count() // workers)):
-            for index in indices:
-                waiting.append(pool.submit(function, index))
-                if len(waiting) == 2 * workers:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-    finally:
-        pool.shutdown(cancel_futures=True)
+    with threads(max(1, cpu_count() // workers)):
+        yield from in_turn(function, indices, workers=workers, ahead=2 * workers)
 
 
 def _score_one(source: PredictionSource, sample: Sample, protocols: Mapping[str, Protocol]) -> Score:
