@@ -16,7 +16,7 @@ OPTIONAL = {
     "embreex": "synthetic",
     "matplotlib": "report",
     "fast_simplification": "mesh",
-    "onnx": "onnx", "onnxruntime": "onnx",
+    "onnx": "onnx",
     "openvino": "openvino", "nncf": "openvino",
     "fsspec": "cloud", "s3fs": "cloud", "gcsfs": "cloud", "aiohttp": "cloud", "pyarrow": "cloud",
     "ray": "ray",

@@ -23,7 +23,7 @@ PLACES = [(80, 100), (320, 240), (560, 300), (200, 400), (450, 120)]
 @pytest.fixture(autouse=True)
 def tiny(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every model name gives the tiny model."""
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **given: tiny_model)
+    monkeypatch.setattr("zoedepth.weights.load.load_for_prediction", lambda name, **_: tiny_model)
 
 
 @pytest.fixture
@@ -254,6 +254,6 @@ def test_a_model_without_metres_is_refused(
     photo: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     bare = ZoeDepth(replace(tiny_model.config, domains=())).eval()
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: bare)
+    monkeypatch.setattr("zoedepth.weights.load.load_for_prediction", lambda name, **_: bare)
     assert main(["calibrate", str(photo), "--at", "320,240=2"]) == 2
     assert "no metres to calibrate" in capsys.readouterr().err

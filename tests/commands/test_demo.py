@@ -26,7 +26,7 @@ def test_measured_depth_is_in_metres() -> None:
 def test_demo(
     tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: tiny_model)
+    monkeypatch.setattr("zoedepth.weights.load.load_for_prediction", lambda name, **_: tiny_model)
     assert main(["demo", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "REL" in printed

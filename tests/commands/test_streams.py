@@ -19,7 +19,7 @@ from zoedepth.stored import Memory, read_stored
 @pytest.fixture
 def photo(tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a photo; every model name gives the tiny model."""
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **_: tiny_model)
+    monkeypatch.setattr("zoedepth.weights.load.load_for_prediction", lambda name, **_: tiny_model)
     pixels = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     Image.fromarray(pixels).save(tmp_path / "photo.png")
     return tmp_path / "photo.png"
