@@ -156,7 +156,8 @@ class TestReadings:
         options = [f"--at={x},{y}={float(depth.depth[y, x]) ** 1.5}" for x, y in grid]
         assert calibrate(photo, *options, "--form", "scale-shift") == 0
         assert "* depth ** 1." in capsys.readouterr().out
-        assert calibrate(photo, *readings(depth, 1.2), "--form", "scale-shift") == 0
+        options = [f"--at={x},{y}={float(depth.depth[y, x]) * 1.2}" for x, y in grid]
+        assert calibrate(photo, *options, "--form", "scale-shift") == 0
         assert "No power" in capsys.readouterr().out
 
     def test_many_are_not_all_shown(self, photo: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
