@@ -47,7 +47,7 @@ def check_tiles(tiles: Tiles) -> None:
     """Refuse what is no number of tiles.
 
     Raises:
-        InputError: it is none, or there are more than ``MOST`` rows or columns.
+        InputError: ``tiles`` is neither "auto" nor (rows, columns), or asks for more than ``MOST`` rows or columns.
     """
     if tiles == "auto":
         return
