@@ -171,7 +171,7 @@ def overhead(*, photos: int = 1000, turns: int = 5, network: bool = True) -> int
             place, tally = job_place(out, JobShard()), Tally()
             with place.opened() as manifest:
                 manifest.begin({}, named=False)
-                inputs = Sources((str(folder / "in"),)).inputs()
+                inputs = Sources((str(folder / "in"),), known=manifest.knows).inputs()
                 for done in run_job(inputs, predictor, request, manifest=manifest, destination=place.destination,
                                     workers=1, tally=tally):  # fmt: skip
                     assert done.entry.error is None
@@ -271,7 +271,7 @@ def many(*, photos: int = 100_000) -> int:
             place = job_place(folder / "out", JobShard())
             with place.opened() as manifest:
                 manifest.begin({}, named=False)
-                inputs = Sources((str(folder / "in"),)).inputs()
+                inputs = Sources((str(folder / "in"),), known=manifest.knows).inputs()
                 for _ in run_job(inputs, predictor, Request("nothing", ("npy",)), manifest=manifest,
                                  destination=place.destination, workers=1, tally=tally):  # fmt: skip
                     first = first or time.perf_counter() - began

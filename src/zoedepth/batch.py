@@ -247,6 +247,10 @@ class Names(Protocol):
         """Add a name; returns True if it was not there before."""
         ...
 
+    def add_all(self, names: Sequence[str]) -> bool:
+        """Add names if none of them was there before and no two are equal; otherwise add none, and return False."""
+        ...
+
 
 class NamesInMemory:
     """A set of names in memory."""
@@ -260,9 +264,23 @@ class NamesInMemory:
         self._names.add(name)
         return len(self._names) > before
 
+    def add_all(self, names: Sequence[str]) -> bool:
+        """See ``Names``."""
+        new = set(names)
+        if len(new) < len(names) or not new.isdisjoint(self._names):
+            return False
+        self._names |= new
+        return True
+
 
 def walk_photos(
-    sources: Iterable[str], found: Found, *, seen: Names, taken: Names, above: str | None = None
+    sources: Iterable[str],
+    found: Found,
+    *,
+    seen: Names,
+    taken: Names,
+    above: str | None = None,
+    known: Callable[[Path], bool] = lambda _: False,
 ) -> Iterator[tuple[Path, PurePosixPath, PurePosixPath]]:
     """Find photos as ``find_photos`` does, and yield each as soon as the folder that it lies in was listed.
 
@@ -272,6 +290,7 @@ def walk_photos(
         seen: the photos that were found before; they are not yielded again.
         taken: the targets that photos have.
         above: name of a folder that all photos of folders are put in; None: the folder's own, where there are several.
+        known: returns True for photos that were found before: whether this package wrote them is not looked at again.
 
     Yields:
         The path, its place in the tree of all photos, and its target, the place that its files take without an ending.
@@ -302,7 +321,7 @@ def walk_photos(
             n_files += len(files)
             # They are of one folder.
             below = PurePosixPath(place, files[0].parent.relative_to(root).as_posix() if files else "")
-            yield from _new([(file, below / file.name) for file in _photos(files, found)], seen, taken)
+            yield from _new([(file, below / file.name) for file in _photos(files, found, known)], seen, taken)
         if not n_files and not path.is_dir():
             found.unreadable[source] = "matches no file"
         found.unreadable.update(listing.unreadable)
@@ -310,11 +329,13 @@ def walk_photos(
     yield from _new(named, seen, taken)
 
 
-def _photos(files: Iterable[Path], found: Found) -> Iterator[Path]:
+def _photos(files: Iterable[Path], found: Found, known: Callable[[Path], bool]) -> Iterator[Path]:
     """Yield the photos among the files of folders, and keep what else was there."""
     for file in files:
         suffix = file.suffix.lower()
-        if reason := _no_photo(file, suffix):
+        if suffix in IMAGE_SUFFIXES and known(file):
+            yield file
+        elif reason := _no_photo(file, suffix):
             found.left_out[reason] += 1
         elif suffix in IMAGE_SUFFIXES:
             yield file
@@ -333,11 +354,10 @@ def _new(
         taken: see ``walk_photos``.
     """
     real_folder = cache(os.path.realpath)
-    new = []
-    for path, place in photos:
-        folder, name = os.path.split(path)
-        if seen.add(os.path.join(real_folder(folder), name)):
-            new.append((path, place))
+    new = list(photos)
+    names = [os.path.join(real_folder(folder), name) for folder, name in (os.path.split(path) for path, _ in new)]
+    if not seen.add_all(names):
+        new = [photo for photo, name in zip(new, names, strict=True) if seen.add(name)]
     yield from (
         (path, place, target)
         for (path, place), target in zip(new, targets([place for _, place in new], taken), strict=True)
@@ -361,6 +381,9 @@ def targets(places: Sequence[PurePosixPath], taken: Names) -> Iterator[PurePosix
 
     stems = [place.with_suffix("") for place in places]
     keys = [key(stem) for stem in stems]
+    if taken.add_all(keys):
+        yield from stems
+        return
     n_sharing = Counter(keys)
     for place, stem, key_of_stem in zip(places, stems, keys, strict=True):
         if n_sharing[key_of_stem] == 1 and taken.add(key_of_stem):

@@ -34,6 +34,7 @@ def run(
     settings: dict[str, object] | None = None,
     column: str | None = None,
     workers: int = 1,
+    known: bool = False,
     at: Callable[[Done], None] = lambda done: None,
 ) -> tuple[list[Done], Tally]:
     """Do a job as the command line does, without its model, and return the results that were not there before."""
@@ -43,6 +44,7 @@ def run(
     results = []
     with place.opened() as manifest:
         manifest.begin(settings or {"weights": "1"}, named=listing.named, overwrite=overwrite)
+        listing.known = manifest.knows if known else None
         for done in run_job(
             listing.inputs(), predictor or Brightness(), request,
             manifest=manifest, destination=place.destination, workers=workers, tally=tally, overwrite=overwrite,

@@ -1,6 +1,9 @@
 """A set of names on disk: what was added is known, and the memory does not tell how much that was."""
 
-from zoedepth.jobs.names import Names, key_of
+import pytest
+
+from zoedepth.batch import NamesInMemory
+from zoedepth.jobs.names import Names, key_of, row_key
 
 
 def test_each_name_is_new_once() -> None:
@@ -9,6 +12,25 @@ def test_each_name_is_new_once() -> None:
         True, True, False, True, False, True,
     ]  # fmt: skip
     names.close()
+
+
+@pytest.mark.parametrize("kind", [Names, NamesInMemory])
+def test_names_are_added_together_or_not_at_all(kind: type[Names] | type[NamesInMemory]) -> None:
+    names = kind()
+    assert names.add("day/c")
+    assert names.add_all(["day/a", "day/b", "a"])
+    for refused in (["day/d", "day/b"], ["day/d", "day/c"], ["day/d", "day/d"]):
+        assert not names.add_all(refused)
+    assert names.add_all([])
+    assert [names.add(name) for name in ("day/a", "day/b", "day/c", "day/d", "a", "b")] == [
+        False, False, False, True, False, True,
+    ]  # fmt: skip
+
+
+def test_rows_of_a_folder_lie_side_by_side() -> None:
+    assert row_key("/in/day 1/a.jpg")[:4] == row_key("/in/day 1/b.jpg")[:4] != row_key("/in/day 2/a.jpg")[:4]
+    assert row_key("C:\\in\\a.jpg")[:4] == row_key("C:\\in\\b.jpg")[:4]
+    assert row_key("/in/day 1/a.jpg")[4:] == key_of("/in/day 1/a.jpg")
 
 
 def test_keys_are_the_same_on_every_machine() -> None:

@@ -4,6 +4,7 @@ import errno
 import multiprocessing
 import os
 import random
+import shutil
 import threading
 import time
 from collections import Counter
@@ -14,6 +15,7 @@ import pytest
 from tests.jobs.photos import REQUEST, Brightness, contents, entries, run, write_photo, write_photos
 from tests.test_batch import fail_with
 
+from zoedepth import batch
 from zoedepth.batch import Request
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
@@ -75,6 +77,26 @@ def test_new_failed_and_changed_photos_are_done_and_so_are_those_whose_files_are
     assert (tally.done, tally.failed, tally.before) == (5, 0, 1)
     run(folder, out=tmp_path / "again")
     assert contents(tmp_path / "out") == contents(tmp_path / "again")
+
+
+def test_photos_of_an_earlier_command_are_not_opened_again(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(folder, out=tmp_path / "out")
+    looked_at = []
+    monkeypatch.setattr(batch, "is_own_file", lambda file: looked_at.append(file.name))
+    write_photo(folder / "day 1" / "new.png")
+    _, tally = run(folder, out=tmp_path / "out", known=True)
+    assert (looked_at, tally.done, tally.before) == (["new.png"], 1, 4)
+
+
+def test_a_depth_map_in_the_place_of_a_photo_is_told(folder: Path, tmp_path: Path) -> None:
+    request = Request("brightness", ("depth",))
+    run(folder, out=tmp_path / "out", request=request)
+    shutil.copy(tmp_path / "out" / "day 0" / "0_depth.png", folder / "day 0" / "0.png")
+    results, tally = run(folder, out=tmp_path / "out", known=True, request=request)
+    assert (tally.done, tally.failed, tally.before) == (0, 1, 3)
+    assert "0.png was a photo and is a file of ours now" in str(results[0].entry.error)
 
 
 def test_interrupted_at_any_photo_it_goes_on(folder: Path, tmp_path: Path) -> None:
@@ -220,13 +242,17 @@ def test_a_full_disk_is_the_end_and_it_goes_on_when_there_is_room(
 def test_a_disk_that_is_gone_is_the_end_and_it_goes_on_when_it_is_back(folder: Path, tmp_path: Path) -> None:
     out, away = tmp_path / "out", tmp_path / "away"
 
-    def take_away(_: object) -> None:
-        if not away.exists():
-            out.rename(away)
-            out.touch()  # nothing can be written below a file, whatever rights one has
+    class TakesAway(Brightness):
+        """Takes the folder away at the third photo, in the thread that writes the files."""
+
+        def __call__(self, image: object, *, domain: str | None = None) -> DepthMap:
+            if entries(out / MANIFEST)[1:]:
+                out.rename(away)
+                out.touch()  # nothing can be written below a file, whatever rights one has
+            return super().__call__(image, domain=domain)
 
     with pytest.raises(InputError, match="cannot write to"):
-        run(folder, out=out, at=take_away)
+        run(folder, out=out, predictor=TakesAway())
     out.unlink()
     away.rename(out)
     _, tally = run(folder, out=out)

@@ -295,6 +295,7 @@ def predict(
             with place.opened() as manifest:
                 with writing(manifest):
                     manifest.begin(settings, named=listing.named, overwrite=overwrite)
+                listing.known = manifest.knows
                 tell_done = json_ or len(first) == 1
                 if engine == "ray":
                     from zoedepth.jobs.ray_engine import run_on_ray

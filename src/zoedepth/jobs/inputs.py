@@ -72,6 +72,11 @@ class Sources:
     """The address that is written to; nothing below it is an input."""
     found: Found = field(default_factory=Found)
     """The sources that could not be read, and what was left out; complete when all inputs were listed."""
+    known: Callable[[str], bool] | None = None
+    """A function that returns True for the names of earlier inputs, such as ``Manifest.knows``.
+
+    These files are not opened to see whether this package wrote them. It may be set while the inputs are listed: it is
+    asked from the next folder on."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -125,10 +130,15 @@ class Sources:
 
     def _here(self, run: list[str], found: Found, seen: Names, taken: Names, *, several: bool) -> Iterator[Input]:
         """Yield photos of files, folders and globs of this machine."""
+
+        def known(path: Path) -> bool:
+            return self.known is not None and self.known(os.path.abspath(path))
+
         groups = [[name] for name in run] if several else [run]
         for group in groups:
             above = None if not several else _stem(group[0]) if Path(group[0]).is_dir() else ""
-            for path, place, target in walk_photos(group, found, seen=seen, taken=taken, above=above):
+            photos = walk_photos(group, found, seen=seen, taken=taken, above=above, known=known)
+            for path, place, target in photos:
                 if self.shard.holds(place):
                     yield Input(os.path.abspath(path), place, target, path)
 

@@ -22,7 +22,7 @@ from uuid import uuid4
 
 from zoedepth.errors import InputError
 from zoedepth.jobs.lock import this_process
-from zoedepth.jobs.names import key_of, temporary_database
+from zoedepth.jobs.names import row_key, temporary_database
 from zoedepth.jobs.shard import JobShard
 from zoedepth.stored import readable, to_json
 
@@ -72,7 +72,7 @@ def parse_line(line: bytes) -> Entry | dict[str, Any] | None:
     if not line.endswith(b"\n") or len(line) > _MAX_LINE:
         return None
     try:
-        values = json.loads(line)
+        values = json.loads(line.decode())
         if "zoedepth_manifest" in values:
             return values if isinstance(values["fingerprint"], str) else None
         size, version = values["size"], values["version"]
@@ -166,10 +166,16 @@ class Manifest:
         if forget:
             self._database.execute("DELETE FROM entries")
 
+    def knows(self, name: str) -> bool:
+        """Return True for an input that any command has done."""
+        asked = (row_key(readable(name)),)
+        with self._lock:
+            return self._database.execute("SELECT 1 FROM entries WHERE key = ? AND done", asked).fetchone() is not None
+
     def find(self, name: str) -> Entry | None:
         """Return the entry of an input that is done by the settings of this command; None where there is none."""
         name = readable(name)
-        asked = (key_of(name), self.fingerprint)
+        asked = (row_key(name), self.fingerprint)
         with self._lock:
             row = self._database.execute(
                 "SELECT place FROM entries WHERE key = ? AND done AND run = ?", asked
@@ -243,7 +249,7 @@ class Manifest:
         for place, line in numbered_lines(self.path):
             found = parse_line(line)
             if isinstance(found, Entry):
-                rows.append((key_of(found.input), place, found.status == "done", fingerprint))
+                rows.append((row_key(found.input), place, found.status == "done", fingerprint))
             elif found is not None:
                 fingerprint = found["fingerprint"]
                 self.runs.append(found)

@@ -2,6 +2,8 @@
 
 import hashlib
 import sqlite3
+import zlib
+from collections.abc import Sequence
 
 _CACHE = 512
 """Kilobytes of memory of a temporary database. SQLite's own 2000 are no faster with keys that come in no order."""
@@ -15,12 +17,24 @@ class Names:
 
     def __init__(self) -> None:
         self._database = temporary_database()
-        self._database.execute("CREATE TABLE names (key BLOB PRIMARY KEY) WITHOUT ROWID")
+        self._database.execute("CREATE TABLE names (key BLOB PRIMARY KEY, batch INTEGER) WITHOUT ROWID")
+        self._n_batches = 0
 
     def add(self, name: str) -> bool:
         """Add a name; returns True if it was not there before."""
-        cursor = self._database.execute("INSERT OR IGNORE INTO names VALUES (?)", (key_of(name),))
+        cursor = self._database.execute("INSERT OR IGNORE INTO names VALUES (?, ?)", (row_key(name), self._n_batches))
         return cursor.rowcount == 1
+
+    def add_all(self, names: Sequence[str]) -> bool:
+        """Add names if none of them was there before and no two are equal; otherwise add none, and return False."""
+        self._n_batches += 1
+        rows = [(row_key(name), self._n_batches) for name in names]
+        self._database.execute("BEGIN")
+        added = self._database.executemany("INSERT OR IGNORE INTO names VALUES (?, ?)", rows).rowcount
+        if added < len(rows):
+            self._database.executemany("DELETE FROM names WHERE key = ? AND batch = ?", rows)
+        self._database.execute("COMMIT")
+        return added == len(rows)
 
     def close(self) -> None:
         """Give the space on the disk back."""
@@ -39,3 +53,12 @@ def temporary_database() -> sqlite3.Connection:
 def key_of(name: str) -> bytes:
     """Return 16 bytes that stand for a name. That two of ten million share them has a chance of 10^-25."""
     return hashlib.blake2b(name.encode("utf-8", "surrogateescape"), digest_size=16).digest()
+
+
+def row_key(name: str) -> bytes:
+    """Return the key of a name in a database: ``key_of`` behind four bytes that the names of a folder share.
+
+    So a folder's names lie side by side, and listing it reads a page of the database once rather than once a name.
+    """
+    end = max(name.rfind("/"), name.rfind("\\"))
+    return zlib.crc32(name[:end].encode("utf-8", "surrogateescape")).to_bytes(4, "big") + key_of(name)
