@@ -54,6 +54,7 @@ def test_the_command_line_writes_and_reads_exported_files(
         assert main(["predict", photo, "--out", str(tmp_path / to), "--model", file, "--no-flip"]) == 0
         depth[to] = np.asarray(Image.open(tmp_path / to / "photo_depth.png")).astype(int)
     assert (tmp_path / "lite.xml").read_text().count('type="FakeQuantize"') > 50
+    assert 10 < (tmp_path / "lite.xml").read_text().count('name="precise"') < 50
     assert np.abs(depth["onnx"] - depth["torch"]).max() <= 1
     assert 0 < (np.abs(depth["openvino"] - depth["torch"]) / depth["torch"]).mean() < 0.2
 

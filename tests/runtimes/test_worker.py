@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from zoedepth.batch import Outcome, Photo, Request
 from zoedepth.errors import InputError
 from zoedepth.predict import Predictor
 from zoedepth.runtimes import worker as workers
@@ -18,8 +19,26 @@ def work(model: Path, photos: list[Path], runtime: Runtime = BASE, *, at_once: i
     return Work(runtime, model, (), True, tuple(photos), at_once)
 
 
+def test_photos_at_the_same_time_go_from_file_to_file(
+    weights: Path, photos: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    predict_photo = workers.predict_photo
+
+    def noted(photo: Photo, predictor: Predictor, request: Request) -> Outcome:
+        outcome = predict_photo(photo, predictor, request)
+        written.append((photo.path, sorted(file.name for file in outcome.files.values() if file.stat().st_size)))
+        return outcome
+
+    monkeypatch.setattr(workers, "LONG_ENOUGH", 0)
+    monkeypatch.setattr(workers, "predict_photo", noted)
+    Bench(work(weights, photos)).do("many")
+    assert sorted(written) == [(photos[0], [f"{number}.json", f"{number}_depth.png"]) for number in range(4)]
+
+
 @pytest.mark.parametrize("at_once", [1, 2])
-def test_bench_of_torch(weights: Path, photos: list[Path], at_once: int) -> None:
+def test_bench_of_torch(weights: Path, photos: list[Path], at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "LONG_ENOUGH", 0)
     bench = Bench(work(weights, photos, at_once=at_once))
     assert bench.do("one") > 0
     assert bench.do("many") > 0

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from zoedepth.config import ModelConfig
+from zoedepth.export.first_layers import FIRST_LAYERS
 from zoedepth.images import read_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.pixels import resize_pixels
@@ -26,9 +27,6 @@ N_COMPARED = 8
 _QUANTIZED = "^(?!/(model|encoder|decoder|shared)/|ConvolutionBackpropData).*$"
 """Layers without a part in int8. Nodes are named after their modules; transposed convolutions, which only decoders
 have, are not."""
-_FIRST_LAYERS = (".*/conv_stem/.*", ".*/blocks[.]0/.*")
-"""Layers of EfficientNets that stay in float32, too: their few channels have very different ranges, and in 8 bits they
-alone changed the depth of zoed-lite by 2 %."""
 
 
 def quantized(
@@ -60,7 +58,7 @@ def quantized(
     inputs = [{INPUT: prepared(model, photo)} | choice for photo in photos]
     compared = some(inputs)
     expected = _depths(_compiled(converted), compared)
-    ignored = nncf.IgnoredScope(patterns=[_QUANTIZED, *(() if transformer else _FIRST_LAYERS)], validate=False)
+    ignored = nncf.IgnoredScope(patterns=[_QUANTIZED, *(() if transformer else FIRST_LAYERS)], validate=False)
     options: dict[str, Any] = {
         "subset_size": len(inputs),
         "preset": nncf.QuantizationPreset.MIXED,

@@ -23,6 +23,7 @@ from torch import Tensor
 from zoedepth import __version__
 from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetworkConfig, to_dict
 from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
+from zoedepth.export.first_layers import keep_in_float32
 from zoedepth.export.int8 import TOLERANCE_INT8, mean_rel, prepared, quantized, some
 from zoedepth.export.wrapper import ExportModel
 from zoedepth.model.interface import DepthModel
@@ -309,6 +310,8 @@ def _write_openvino(model: DepthModel, graph: Path, path: Path, quantize: Callab
             converted = quantize(converted)
     converted.set_rt_info(metadata(model), METADATA)
     openvino.save_model(converted, path, compress_to_fp16=False)
+    if isinstance(model.config, ModelConfig) and model.config.encoder.family == "convolutional":
+        keep_in_float32(path)
 
 
 @contextmanager
