@@ -41,6 +41,8 @@ def build_model(config: AnyModelConfig) -> DepthModel:
 @contextmanager
 def without_memory() -> Iterator[None]:
     """Build networks without memory in this context: their weights have shapes and no values, on the meta device."""
+    import timm  # noqa: F401  # before: it imports parts of torch that torch 2.6 cannot import on the meta device
+
     with torch.device("meta"), _NoValues():
         yield
 

@@ -55,6 +55,7 @@ def free_port() -> Iterator[int]:
 def serve_and(play: Callable[[int], None], *options: str, end: signal.Signals = signal.SIGTERM) -> int:
     """Run the command in this thread while ``play`` has another one; returns its exit code after the signal."""
     failures: list[BaseException] = []
+    ended = threading.Event()
     with free_port() as port:
         pass
 
@@ -67,18 +68,20 @@ def serve_and(play: Callable[[int], None], *options: str, end: signal.Signals = 
                         break
                 except OSError:
                     assert time.monotonic() < deadline
-                    time.sleep(0.02)
+                    assert not ended.wait(0.02), "the service has ended by itself"
             play(port)
         except BaseException as failure:
             failures.append(failure)
         finally:
-            os.kill(os.getpid(), end)
+            if not ended.is_set():  # or the signal would end the tests
+                os.kill(os.getpid(), end)
 
     thread = threading.Thread(target=client)
     thread.start()
     try:
         code = main(["serve", "--port", str(port), *options])
     finally:
+        ended.set()
         thread.join()
     if failures:
         raise failures[0]
