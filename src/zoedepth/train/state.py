@@ -28,7 +28,7 @@ _HARMLESS = frozenset({
 """Fields of the configuration that change nothing in the result."""
 
 _REASONS = {
-    "data_state": "Files of the data, or what is said of them, have changed since (sizes or times; rsync -a keeps both)",
+    "data_state": "Files of the data, or what is said of them, have changed since (size or time; rsync -a keeps both)",
     "steps": "Only a finished run can be lengthened, and none be shortened",
     "init": "It began with other starting weights (--init)",
 }
