@@ -38,7 +38,7 @@ from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 from zoedepth.stored.maps import RELATIVE_KEY
-from zoedepth.weights.exported import load_exported
+from zoedepth.weights.exported import OnnxModel, load_exported
 from zoedepth.weights.fingerprint import weights_fingerprint
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import ASSETS
@@ -572,8 +572,25 @@ def test_file_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
     assert predict(file_of(tmp_path, np.ones((40, 40))), photo((40, 40)), PLAIN)[0].depth.shape == (40, 40)
 
 
-def test_exported_model_predicts_one_photo_at_a_time(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_exported_model_predicts_as_many_photos_at_a_time_as_it_was_loaded_for(
+    tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its threads are fixed when it is loaded."""
     monkeypatch.setattr("zoedepth.evaluation.predictions.cpu_count", lambda: 3)
     assert ModelSource(tiny_model).workers == 3
     assert ModelSource(load_exported(ASSETS / "zoed-lite.onnx")).workers == 1
+    loaded = ModelSource.load("zoed-lite", device="cpu")
+    assert loaded.workers == 3
+    assert isinstance(loaded.model, OnnxModel)
+    assert loaded.model.threads == 1
+
+
+def test_model_of_the_package_gives_the_depth_of_torch_and_says_what_computed() -> None:
+    loaded, expected = ModelSource.load("zoed-lite", device="cpu"), ModelSource(load_model("zoed-lite"))
+    assert loaded.about == {"model": "zoed-lite", "compat": [], "runtime": "ONNX Runtime"}
+    sample = photo((60, 80))
+    one, other = (source.predict(sample, EVERYWHERE) for source in (loaded, expected))
+    np.testing.assert_allclose(one.depth, other.depth, rtol=1e-4)
+    assert one.std is not None
+    assert other.std is not None
+    np.testing.assert_allclose(one.std, other.std, rtol=1e-3)

@@ -25,10 +25,10 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
-from zoedepth.threads import cpu_count
+from zoedepth.threads import cpu_count, threads
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
-from zoedepth.weights.load import find, load_model
+from zoedepth.weights.load import find, load_for_prediction
 
 # The usual ones first; DEPTH_SUFFIXES has all that can be read.
 _SUFFIXES = tuple(dict.fromkeys((".png", ".npy", ".npz", *DEPTH_SUFFIXES)))
@@ -88,6 +88,7 @@ class ModelSource:
         about: facts that tell it from others; see ``PredictionSource``.
         weights: a hash of its weights; scores that were made with others are made anew.
         camera: the knowledge of the photos' cameras that the model is given.
+        streams: photos at the same time that an exported model was loaded for (``load_exported``).
 
     Raises:
         InputError: the model is to correct depth by the focal length, and its config does not say that of its training.
@@ -100,6 +101,7 @@ class ModelSource:
         about: Mapping[str, object] | None = None,
         weights: str | None = None,
         camera: CameraUse = "none",
+        streams: int = 1,
     ) -> None:
         if camera == "data":
             Predictor(model, focal_correction=True)  # says what is missing, before any photo
@@ -108,6 +110,7 @@ class ModelSource:
         self.about = {**(about or {}), **({"camera": camera} if camera == "data" else {})}
         self.weights = weights
         self.camera: CameraUse = camera
+        self._streams = streams
 
     @classmethod
     def load(
@@ -131,19 +134,24 @@ class ModelSource:
         Raises:
             InputError: there is no such model, behaviour or device, or it cannot correct depth by the focal length.
         """
-        model = Predictor(load_model(name, compat=tuple(compat), progress=progress), device=device).model
-        about = {"model": str(name), "compat": list(compat)}
-        return cls(model, about=about, weights=weights_fingerprint(find(name)), camera=camera)
+        streams = min(cpu_count(), _MOST_WORKERS)
+        with threads(max(1, cpu_count() // streams)):  # an exported model takes its threads when it is loaded
+            loaded = load_for_prediction(name, device=device, compat=compat, streams=streams, progress=progress)
+        model = Predictor(loaded, device=device).model
+        about: dict[str, object] = {"model": str(name), "compat": list(compat)}
+        if isinstance(model, ExportedModel):
+            about["runtime"] = model.runtime
+        return cls(model, about=about, weights=weights_fingerprint(find(name)), camera=camera, streams=streams)
 
     @property
     def workers(self) -> int:
         """Photos that are best predicted at the same time, each with its share of the cores.
 
-        On the CPU these are as many as there are cores, up to four, as each takes memory. An exported model takes all
-        cores for one, since its threads are fixed when it is loaded.
+        On the CPU these are as many as there are cores, up to four, as each takes memory. The threads of an exported
+        model are fixed when it is loaded: these are as many as it was loaded for.
         """
         if isinstance(self.model, ExportedModel):
-            return 1
+            return self._streams
         return min(cpu_count(), _MOST_WORKERS) if self.model.device.type == "cpu" else 1
 
     def state(self, name: str) -> str | None:

@@ -29,16 +29,16 @@ def score_uncertainty(
     """Compare the standard deviation of the scored pixels with their errors; everything in metres."""
     error = np.abs(depth - truth)
     relative = error / truth
-    by_uncertainty = _remaining(relative, np.argsort(-(std / depth), kind="stable"))
-    by_error = _remaining(relative, np.argsort(-relative, kind="stable"))
+    by_uncertainty = _remaining(relative[np.argsort(-(std / depth), kind="stable")])
+    by_error = _remaining(np.sort(relative)[::-1])
     chance = float(np.mean(relative.mean() - by_error))
     ause = float(np.mean(by_uncertainty - by_error)) / chance if chance > 0 else 0.0
     return UncertaintyScores(ause, float(np.mean(error <= std)), float(np.mean(error <= 2 * std)))
 
 
-def _remaining(relative: np.ndarray, order: np.ndarray) -> np.ndarray:
+def _remaining(relative: np.ndarray) -> np.ndarray:
     """Return the mean error of what remains after 0, 1/STEPS, 2/STEPS ... of the pixels are removed in this order."""
-    n = len(order)
-    tails = np.cumsum(relative[order][::-1])[::-1]
+    n = len(relative)
+    tails = np.cumsum(relative[::-1])[::-1]
     starts = np.arange(STEPS) * n // STEPS
     return tails[starts] / (n - starts)
