@@ -9,7 +9,7 @@ from email.utils import formatdate
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Event, Thread
-from typing import TypeVar
+from typing import Any, TypeVar
 from urllib.parse import unquote, urlsplit
 
 AnyServer = TypeVar("AnyServer", bound="LocalServer")
@@ -154,12 +154,13 @@ class _HubHandler(BaseHTTPRequestHandler):
             tag = f'"{hashlib.sha1(files[file]).hexdigest()}"'
             self._send(200, files[file], {"ETag": tag, "X-Repo-Commit": commit})
 
-    def _create(self, wanted: dict[str, str]) -> None:
+    def _create(self, wanted: dict[str, Any]) -> None:
         repo = f"{wanted['organization']}/{wanted['name']}"
         exists = repo in self.owner.repos
         if not exists:
             self.owner.repos[repo] = {}
-            if wanted.get("visibility") == "private":
+            # Versions of the library before 1.8 say it by "private".
+            if wanted.get("visibility") == "private" or wanted.get("private"):
                 self.owner.private.add(repo)
         self._json(409 if exists else 200, {"url": f"{self.owner.url}/{repo}"})
 

@@ -54,7 +54,7 @@ class PyramidEncoder(FeatureEncoder):
     def __init__(self, name: str) -> None:
         from timm.models import is_model_in_modules
 
-        is_swin = is_model_in_modules(name, "swin_transformer")
+        is_swin = is_model_in_modules(name, ("swin_transformer",))
         super().__init__(name, levels=(-4, -3, -2, -1), options=_SWIN if is_swin else None)
         if is_swin:
             pad_before_shift(self.stages)

@@ -37,6 +37,7 @@ def only_one(manifest: Path) -> Iterator[None]:
     from filelock import FileLock, SoftFileLock, Timeout
 
     path = lock_file(manifest)
+    holder = _holder(path)  # before: filelock before version 4 empties the file when it asks for the lock
     lock = FileLock(path, timeout=0)
     advice = "wait for it, stop it, give each command a --shard of its own, or choose another --out"
     try:
@@ -44,11 +45,12 @@ def only_one(manifest: Path) -> Iterator[None]:
             lock.acquire()
         except NotImplementedError:  # raised by filelock where the file system has no locks: a file stands for one
             path = path.with_suffix(".held")
+            holder = _holder(path)
             lock = SoftFileLock(path, timeout=0)
             advice = f"{advice}. If it does not run any more, delete {path}"
             lock.acquire()
     except Timeout as error:
-        raise InputError(f"another command works on {manifest} ({_holder(path)}): {advice}") from error
+        raise InputError(f"another command works on {manifest} ({holder}): {advice}") from error
     except OSError as error:
         raise InputError(f"cannot write to {manifest.parent} ({error.strerror or error})") from error
     try:

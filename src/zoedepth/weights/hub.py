@@ -38,7 +38,8 @@ def is_hub_id(name: str) -> bool:
     A relative path of two parts has the same form, so look for files first. A name with the suffix of a weights file
     counts as a path, so that a mistyped one is not searched for on the Hub.
     """
-    if name.count("/") != 1 or name.lower().endswith(_FILE_SUFFIXES):
+    # Versions of the hub's library before 2 take any letters, and a line's end.
+    if name.count("/") != 1 or not name.isascii() or name.endswith("\n") or name.lower().endswith(_FILE_SUFFIXES):
         return False
     from huggingface_hub.utils import HFValidationError, validate_repo_id
 

@@ -235,6 +235,7 @@ def _refuse_programs(names: set[str], path: Path) -> None:
     """Refuse archives that hold a program beside the weights."""
     for name, kind, loader in (
         ("archive_format", "a torch-export", "torch.export.load"),
+        ("serialized_exported_program.json", "a torch-export", "torch.export.load"),  # before torch 2.7
         ("constants.pkl", "a TorchScript", "torch.jit.load"),
     ):
         if name in names:
