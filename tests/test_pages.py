@@ -32,7 +32,8 @@ def workplace(tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPa
     """Write everything that the page on cameras names into the current folder; every model's name is a tiny model's."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("zoedepth.load_model", lambda name: tiny_model)
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **given: tiny_model)
+    for load in ("load_model", "load_for_prediction"):
+        monkeypatch.setattr(f"zoedepth.weights.load.{load}", lambda name, **given: tiny_model)
     for folder in ("photos", "sparse"):
         (tmp_path / folder).mkdir()
     for photo in ("photo.jpg", "photos/a.jpg"):

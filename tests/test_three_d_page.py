@@ -28,7 +28,8 @@ def workplace(tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPa
         return tiny_model
 
     monkeypatch.setattr(zoedepth, "load_model", load_model)  # first: it is found in the other, and kept
-    monkeypatch.setattr("zoedepth.weights.load.load_model", load_model)
+    for load in ("load_model", "load_for_prediction"):
+        monkeypatch.setattr(f"zoedepth.weights.load.{load}", load_model)
     return tmp_path
 
 

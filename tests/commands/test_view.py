@@ -21,7 +21,8 @@ XMP = b'<x:xmpmeta xmlns:x="adobe:ns:meta/" GPano:ProjectionType="equirectangula
 def model(tiny_model: ZoeDepth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Every model name gives the tiny model, and commands run in an empty folder; the names are kept."""
     asked: dict[str, Any] = {}
-    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda name, **given: asked.update(name=name) or tiny_model)
+    for load in ("load_model", "load_for_prediction"):
+        monkeypatch.setattr(f"zoedepth.weights.load.{load}", lambda name, **_: asked.update(name=name) or tiny_model)
     monkeypatch.chdir(tmp_path)
     return asked
 
