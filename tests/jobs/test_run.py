@@ -96,7 +96,7 @@ def test_a_depth_map_in_the_place_of_a_photo_is_told(folder: Path, tmp_path: Pat
     shutil.copy(tmp_path / "out" / "day 0" / "0_depth.png", folder / "day 0" / "0.png")
     results, tally = run(folder, out=tmp_path / "out", known=True, request=request)
     assert (tally.done, tally.failed, tally.before) == (0, 1, 3)
-    assert "0.png was a photo and is a file of ours now" in str(results[0].entry.error)
+    assert "0.png was a photo, and zoedepth has written another file there" in str(results[0].entry.error)
 
 
 def test_interrupted_at_any_photo_it_goes_on(folder: Path, tmp_path: Path) -> None:

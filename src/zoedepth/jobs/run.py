@@ -131,7 +131,7 @@ def missing(
         if entry is None:
             yield item
         elif (changed := item.state() != (entry.size, entry.version)) and not item.origin and has_own_mark(item.path):
-            error = f"{item.path} was a photo and is a file of ours now: move it out of the folder of photos"
+            error = f"{item.path} was a photo, and zoedepth has written another file there since: move it elsewhere"
             yield Done(str(item.path), Entry(item.name, "failed", error=error))
         elif changed or not destination.has(entry.outputs):
             yield replace(item, own=tuple(PurePosixPath(file).name for file, _ in entry.outputs.values()))
