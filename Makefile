@@ -24,7 +24,7 @@ test: $(VENV)/.installed-dev
 
 # The numeric tests as other processors compute, and as a user without root's rights. SWITCHES="avx2 1-thread" runs some.
 test-processors: $(VENV)/.installed-dev
-	scripts/processors.sh $(BIN)/python $(SWITCHES)
+	$(COMPILED) scripts/processors.sh $(BIN)/python $(SWITCHES)
 
 # The tests with the lowest versions that pyproject.toml promises. uv, because pip cannot choose the lowest.
 test-oldest: $(OLDEST)/.installed-dev
