@@ -137,7 +137,7 @@ def test_pixels_are_in_the_order_of_channels_last(make_config: MakeConfig, data:
 def test_waiting_is_measured_between_two_questions(make_config: MakeConfig, data: Data, monkeypatch) -> None:
     (batch, *_) = read(make_config(), data)
     clock = iter([10.0, 12.0, 20.0, 23.0, 30.0, 31.0])
-    monkeypatch.setattr("zoedepth.train.batches.time.monotonic", lambda: next(clock))
+    monkeypatch.setattr("zoedepth.train.batches.monotonic", lambda: next(clock))
     batches = Batches([batch] * 3)
     next(batches), next(batches)
     assert batches.take_waited() == 5

@@ -50,7 +50,7 @@ def test_speed_and_waiting_are_those_of_training_alone(
     make_config: MakeConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = 100.0
-    monkeypatch.setattr("zoedepth.train.log.time.monotonic", lambda: now)
+    monkeypatch.setattr("zoedepth.train.log.monotonic", lambda: now)
     with Log(tmp_path, make_config(batch_size=6), first_step=10, active=True) as log:
         now += 4
         log.write(12, {}, waited=1.0)

@@ -1,9 +1,9 @@
 """The batches of a training: which samples this process reads at which step."""
 
 import signal
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
+from time import monotonic
 from typing import TYPE_CHECKING, cast
 
 import torch
@@ -36,7 +36,7 @@ class Batches(Iterator[Batch]):
         Raises:
             InputError: samples cannot be read.
         """
-        asked = time.monotonic()
+        asked = monotonic()
         try:
             batch = next(self._batches)
         except (StopIteration, KeyboardInterrupt):
@@ -47,7 +47,7 @@ class Batches(Iterator[Batch]):
             if isinstance(error, ZoeDepthError) and len(lines) == 1:
                 raise
             raise InputError(f"samples cannot be read: {lines[-1].strip()}") from error
-        self._waited += time.monotonic() - asked
+        self._waited += monotonic() - asked
         return batch._replace(pixels=batch.pixels.contiguous(memory_format=torch.channels_last))
 
     def take_waited(self) -> float:

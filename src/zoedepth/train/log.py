@@ -2,10 +2,10 @@
 
 import json
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from time import monotonic
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -48,12 +48,12 @@ class Ticker:
 
     def __init__(self, what: str, say: Callable[[str], object]) -> None:
         self._what, self._say = what, say
-        self._last = time.monotonic()
+        self._last = monotonic()
 
     def __call__(self, done: int, total: int) -> None:
         """Show a line if it is time."""
-        if time.monotonic() - self._last >= self.EVERY:
-            self._last = time.monotonic()
+        if monotonic() - self._last >= self.EVERY:
+            self._last = monotonic()
             self._say(f"{self._what}: {done:,} of {total:,}")
 
 
@@ -69,7 +69,7 @@ class Log:
 
     def __init__(self, folder: Path, config: TrainConfig, *, first_step: int, active: bool) -> None:
         self.active = active
-        self._since = time.monotonic()
+        self._since = monotonic()
         self._step = first_step
         self._batch_size = config.batch_size
         if not active:
@@ -112,10 +112,10 @@ class Log:
             return
         numbers = {name: round(value, 10) for name, value in values.items()}
         if waited is not None:
-            seconds = max(time.monotonic() - self._since, 1e-9)
+            seconds = max(monotonic() - self._since, 1e-9)
             numbers["images_per_s"] = round((step - self._step) * self._batch_size / seconds, 2)
             numbers["data_wait"] = round(waited / seconds, 4)
-            self._since, self._step = time.monotonic(), step
+            self._since, self._step = monotonic(), step
         with self._jsonl.open("a", encoding="utf-8") as file:
             file.write(json.dumps({"step": step, **numbers}) + "\n")
         for name, value in numbers.items():
@@ -129,9 +129,9 @@ class Log:
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Leave the time spent in this context out of the speed of training."""
-        began = time.monotonic()
+        began = monotonic()
         yield
-        self._since += time.monotonic() - began
+        self._since += monotonic() - began
 
     def picture(self, step: int, image: ImageArray) -> None:
         """Write a picture to TensorBoard and to ``pictures/step_000123.jpg``."""
