@@ -221,8 +221,14 @@ class HeadTester:
         head.eval()
         features = decoder_features((64, 64))
         exact = head(features)
-        with torch.autocast("cpu", dtype=torch.bfloat16):
-            output = head(features)
+        try:
+            with torch.autocast("cpu", dtype=torch.bfloat16):
+                output = head(features)
+        except RuntimeError as error:
+            if "pack_vnni2" not in str(error):
+                raise
+            # Its attention asks the processor for AMX, and ATEN_CPU_CAPABILITY=default for AVX-512.
+            pytest.skip("torch cannot compute attention in bfloat16 with less than the processor has")
         assert output.depth.dtype == torch.float32
         assert output.depth.isfinite().all()
         if output.distribution is not None:
