@@ -11,7 +11,7 @@ import os
 import posixpath
 import tarfile
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -104,7 +104,8 @@ class Sources:
         """
         if any(_kind(name) == "tar" for name in self.names):
             raise InputError("the members of a tar file are not counted first")
-        return self._inputs(Found())
+        # In a thread of its own, which may outlive the manifest that ``known`` asks.
+        return replace(self, found=Found(), known=None).inputs()
 
     def _inputs(self, found: Found) -> Iterator[Input]:
         seen, taken = Names(), Names()

@@ -223,7 +223,8 @@ class Manifest:
         if self._reader is not None:
             self._reader.close()
         self._file = self._reader = None
-        self._database.close()
+        with self._lock:  # SQLite crashes where another thread asks meanwhile
+            self._database.close()
 
     def _open(self) -> None:
         if self._file is not None:
