@@ -100,10 +100,11 @@ class TestLettersThatLookTheSame:
         both = [unicodedata.normalize("NFC", letters), unicodedata.normalize("NFD", letters)]
         for name in both:
             touch(tmp_path, name)
-        if len(list(tmp_path.iterdir())) < 2:
-            pytest.skip("this file system keeps one of two names that look the same")  # as macOS: none to confuse
         partly = "ẹ\N{COMBINING CIRCUMFLEX ACCENT}"
         assert partly not in both
+        if len(list(tmp_path.iterdir())) < 2:  # macOS keeps one of the two: nothing can be confused
+            assert find(tmp_path, partly).exists()
+            return
         with pytest.raises(InputError, match=r"has 2 names that look like.*NFC, NFD"):
             find(tmp_path, partly)
 

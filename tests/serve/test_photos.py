@@ -7,7 +7,6 @@ from PIL import Image
 from tests import bombs
 from tests.serve.running import photo
 
-from zoedepth.claims import HEIC_IS_READ
 from zoedepth.geometry.lens import Lens
 from zoedepth.serve.photos import MEDIA_TYPES, Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import Problem
@@ -35,8 +34,6 @@ def test_every_format_that_is_taken_is_decoded(kind: str) -> None:
     assert decode_photo(content, "exif", max_pixels=LIMIT).image.shape == (48, 64, 3)
 
 
-# The extra [heic] is among the tools of development, so that CI runs this.
-@pytest.mark.skipif(not HEIC_IS_READ, reason="pillow-heif is not installed: pip install 'zoedepth[heic]'")
 def test_photos_of_phones_are_taken() -> None:
     import pillow_heif
 
