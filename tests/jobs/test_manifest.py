@@ -163,3 +163,20 @@ def test_a_disk_that_takes_a_part_of_a_line_is_an_error(path: Path, monkeypatch:
 def test_names() -> None:
     assert manifest_name(JobShard()) == "zoedepth-manifest.jsonl"
     assert manifest_name(JobShard(2, 8)) == "zoedepth-manifest-2-of-8.jsonl"
+
+
+def test_it_knows_the_files_that_are_done_and_have_not_changed(path: Path, tmp_path: Path) -> None:
+    photos = [tmp_path / f"{name}.jpg" for name in ("done", "failed", "changed", "gone", "new")]
+    for photo in photos:
+        photo.write_bytes(b"photo")
+    states = [(photo, photo.stat().st_size, photo.stat().st_mtime_ns) for photo in photos[:4]]
+    write(path, *(
+        Entry(str(photo), "failed" if photo.stem == "failed" else "done", size, time) for photo, size, time in states
+    ))  # fmt: skip
+    photos[2].write_bytes(b"another photo")
+    photos[3].unlink()
+    manifest = Manifest(path)
+    assert [manifest.knows(str(photo)) for photo in photos] == [True, False, False, False, False]
+    manifest.begin({"weights": "other"}, named=True)
+    assert manifest.knows(str(photos[0]))  # it was a photo under other settings, too
+    manifest.close()

@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Lock
 from typing import TypeVar
 
-from zoedepth.batch import in_turn
+from zoedepth.batch import in_turn, share_cores
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
 from zoedepth.evaluation.identity import Stamps
@@ -16,7 +16,6 @@ from zoedepth.evaluation.predictions import PredictionSource, predict, prepare
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score, score
-from zoedepth.threads import cpu_count, threads
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ def _in_order(function: Callable[[int], T], indices: list[int], *, workers: int)
     if workers < 2:
         yield from map(function, indices)
         return
-    with threads(max(1, cpu_count() // workers)):
+    with share_cores(workers):
         yield from in_turn(function, indices, workers=workers, ahead=2 * workers)
 
 

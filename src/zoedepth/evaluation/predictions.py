@@ -12,6 +12,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 
+from zoedepth.batch import share_cores
 from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.names import Finder
@@ -25,7 +26,7 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
-from zoedepth.threads import cpu_count, threads
+from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
 from zoedepth.weights.load import find, load_for_prediction
@@ -135,7 +136,7 @@ class ModelSource:
             InputError: there is no such model, behaviour or device, or it cannot correct depth by the focal length.
         """
         streams = min(cpu_count(), _MOST_WORKERS)
-        with threads(max(1, cpu_count() // streams)):  # an exported model takes its threads when it is loaded
+        with share_cores(streams):  # an exported model takes its threads when it is loaded
             loaded = load_for_prediction(name, device=device, compat=compat, streams=streams, progress=progress)
         model = Predictor(loaded, device=device).model
         about: dict[str, object] = {"model": str(name), "compat": list(compat)}

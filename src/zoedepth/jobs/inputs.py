@@ -73,7 +73,7 @@ class Sources:
     found: Found = field(default_factory=Found)
     """The sources that could not be read, and what was left out; complete when all inputs were listed."""
     known: Callable[[str], bool] | None = None
-    """A function that returns True for the names of earlier inputs, such as ``Manifest.knows``.
+    """A function that returns True for the paths of earlier inputs, such as ``Manifest.knows``.
 
     These files are not opened to see whether this package wrote them. It may be set while the inputs are listed: it is
     asked from the next folder on."""

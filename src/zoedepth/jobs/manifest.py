@@ -32,6 +32,7 @@ NAME = "zoedepth-manifest"
 _BEGINS = b'{"zoedepth_manifest": 1, '
 _MAX_LINE = 1 << 20  # bytes
 _AT_ONCE = 10_000  # lines that go into the index together
+_Row = tuple[bytes, int, int, str, str]  # of the index, as its table is
 
 
 @dataclass(frozen=True)
@@ -126,7 +127,8 @@ class Manifest:
         self._lock = threading.Lock()
         self._database = temporary_database()
         self._database.execute(
-            "CREATE TABLE entries (key BLOB PRIMARY KEY, place INTEGER, done INTEGER, run TEXT) WITHOUT ROWID"
+            "CREATE TABLE entries (key BLOB PRIMARY KEY, place INTEGER, done INTEGER, run TEXT, state TEXT) "
+            "WITHOUT ROWID"
         )
         self._file: int | None = None
         self._reader: BinaryIO | None = None
@@ -166,11 +168,18 @@ class Manifest:
         if forget:
             self._database.execute("DELETE FROM entries")
 
-    def knows(self, name: str) -> bool:
-        """Return True for an input that any command has done."""
-        asked = (row_key(readable(name)),)
+    def knows(self, path: str) -> bool:
+        """Return True for a file that a command has done, whatever its settings, and that has not changed since."""
+        asked = (row_key(readable(path)),)
         with self._lock:
-            return self._database.execute("SELECT 1 FROM entries WHERE key = ? AND done", asked).fetchone() is not None
+            row = self._database.execute("SELECT state FROM entries WHERE key = ? AND done", asked).fetchone()
+        if row is None:
+            return False
+        try:
+            now = os.stat(path)
+        except OSError:
+            return False
+        return row[0] == _state(now.st_size, now.st_mtime_ns)
 
     def find(self, name: str) -> Entry | None:
         """Return the entry of an input that is done by the settings of this command; None where there is none."""
@@ -245,12 +254,13 @@ class Manifest:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def _read(self) -> None:
-        rows: list[tuple[bytes, int, int, str]] = []
+        rows: list[_Row] = []
         fingerprint = ""
         for place, line in numbered_lines(self.path):
             found = parse_line(line)
             if isinstance(found, Entry):
-                rows.append((row_key(found.input), place, found.status == "done", fingerprint))
+                state = _state(found.size, found.version)
+                rows.append((row_key(found.input), place, found.status == "done", fingerprint, state))
             elif found is not None:
                 fingerprint = found["fingerprint"]
                 self.runs.append(found)
@@ -266,16 +276,22 @@ class Manifest:
         count = "SELECT COUNT(*) FROM entries WHERE done = ?"
         self.n_done, self.n_failed = (self._database.execute(count, (done,)).fetchone()[0] for done in (1, 0))
 
-    def _keep(self, rows: list[tuple[bytes, int, int, str]]) -> None:
+    def _keep(self, rows: list[_Row]) -> None:
         """Put lines into the index. A success stays, whatever fails after it by the same settings."""
         self._database.execute("BEGIN")
         self._database.executemany(
-            "INSERT INTO entries VALUES (?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET place = excluded.place, "
-            "done = excluded.done, run = excluded.run WHERE excluded.done OR NOT done OR run != excluded.run",
+            "INSERT INTO entries VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET place = excluded.place, "
+            "done = excluded.done, run = excluded.run, state = excluded.state "
+            "WHERE excluded.done OR NOT done OR run != excluded.run",
             rows,
         )
         self._database.execute("COMMIT")
         rows.clear()
+
+
+def _state(size: int | None, version: int | str | None) -> str:
+    """Return an input's size and version as one text of the index."""
+    return f"{size} {version}"
 
 
 def begin_line(settings: Mapping[str, object], *, fingerprint: str, named: bool, overwrite: bool = False) -> bytes:

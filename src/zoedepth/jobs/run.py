@@ -9,9 +9,8 @@ from pathlib import PurePosixPath
 from zoedepth.batch import Request, in_turn
 from zoedepth.errors import InputError
 from zoedepth.jobs.destinations import Destination
-from zoedepth.jobs.manifest import Entry, Manifest
+from zoedepth.jobs.manifest import Manifest
 from zoedepth.jobs.work import Done, Input, do_photo
-from zoedepth.outputs.ownership import has_own_mark
 from zoedepth.predict import Predictor
 
 
@@ -130,10 +129,7 @@ def missing(
         entry = None if overwrite else manifest.find(item.name)
         if entry is None:
             yield item
-        elif (changed := item.state() != (entry.size, entry.version)) and not item.origin and has_own_mark(item.path):
-            error = f"{item.path} was a photo, and zoedepth has written another file there since: move it elsewhere"
-            yield Done(str(item.path), Entry(item.name, "failed", error=error))
-        elif changed or not destination.has(entry.outputs):
+        elif item.state() != (entry.size, entry.version) or not destination.has(entry.outputs):
             yield replace(item, own=tuple(PurePosixPath(file).name for file, _ in entry.outputs.values()))
         elif tell_done:
             yield Done(item.name if item.origin else str(item.path), entry, before=True)
