@@ -23,6 +23,7 @@ from zoedepth.evaluation.protocols import INDOOR, OUTDOOR, PLAIN, PROTOCOLS, Pro
 from zoedepth.metrics import Metrics, mean_metrics
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.depth import write_depth_png
+from zoedepth.runtimes.fast import Fast
 from zoedepth.weights.load import load_model
 from zoedepth.weights.save import save_model
 
@@ -311,12 +312,43 @@ class TestCamera:
         assert "--camera data is for models, and none is scored" in said
 
 
+class TestFast:
+    def test_takes_what_is_fastest_here_and_says_what_it_is(self, model: Path, tmp_path: Path, capsys, monkeypatch):
+        path = write_pairs(tmp_path, n=1, split="test")
+        arguments = ("--model", f"mine={model}", "--data", f"rooms={path}", "--out", tmp_path / "out", "--no-pictures")
+
+        def load(name: object, **options: object) -> Fast:
+            assert str(name) == str(model)
+            return Fast(load_model(model), "torch, bfloat16", "measured", "bfloat16", "cpu")
+
+        monkeypatch.setattr("zoedepth.evaluation.predictions.load_fast", load)
+        (record,) = run(capsys, *arguments, "--fast")
+        assert record["fast"] == "torch, bfloat16"
+        assert "| mine (torch, bfloat16) |" in (tmp_path / "out" / "report.md").read_text()
+        # Scores of one way of computing are not gone on with in another.
+        assert "fast was 'torch, bfloat16' and is None" in error(capsys, *arguments)
+
+    def test_says_what_was_chosen(self, model: Path, tmp_path: Path, capsys, monkeypatch):
+        path = write_pairs(tmp_path, n=1, split="test")
+        fast = Fast(load_model(model), "torch, float32", "nothing else is installed", "float32", "cpu")
+        monkeypatch.setattr("zoedepth.evaluation.predictions.load_fast", lambda name, **options: fast)
+        assert main(["evaluate", "--model", str(model), "--data", str(path), "--fast"]) == 0
+        assert f"note: {model} is computed by torch, float32 (nothing else is installed)" in capsys.readouterr().err
+
+    def test_is_for_models(self, tmp_path: Path, capsys):
+        path = write_pairs(tmp_path, n=1, split="test")
+        theirs = write_predictions(tmp_path / "theirs", path)
+        said = error(capsys, "--predictions", theirs, "--data", path, "--fast")
+        assert "--fast is for models, and none is scored" in said
+
+
 class TestOutput:
     def test_json_is_one_object_with_metrics_and_counts(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
         (record,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
-        counts = {"images", "without_truth", "failed", "router", "alignment", "camera", "source", "data", "protocols"}
-        assert set(record) == METRICS | {"boundary_f1", "ause", "coverage1", "coverage2"} | counts
+        facts = {"router", "alignment", "camera", "fast", "source", "data", "protocols"}
+        counts = {"images", "without_truth", "failed"}
+        assert set(record) == METRICS | {"boundary_f1", "ause", "coverage1", "coverage2"} | counts | facts
         assert (record["images"], record["without_truth"]) == (2, 1)
         assert all(isinstance(record[name], float) for name in METRICS)
 

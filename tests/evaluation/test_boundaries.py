@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from zoedepth.evaluation.boundaries import MIN_PAIRS, boundary_f1
+from zoedepth.evaluation.boundaries import MIN_PAIRS, THRESHOLDS, boundary_f1
 
 HEIGHT, WIDTH = 120, 60
 
@@ -125,3 +125,24 @@ def test_sparse_truth_has_no_score() -> None:
 def test_too_few_edges_have_no_score() -> None:
     assert f1(step()[: MIN_PAIRS - 1], step()[: MIN_PAIRS - 1]) is None
     assert f1(step()[:MIN_PAIRS], step()[:MIN_PAIRS]) == 1
+
+
+def test_counts_are_those_of_a_plain_loop_over_pairs() -> None:
+    rng = np.random.default_rng(1)
+    truth, depth = rough(1), rough(1) * np.exp(rng.normal(0, 0.05, size=(40, 50)))
+    known = rng.random(truth.shape) < 0.9
+    truth[~known] = np.nan  # what is unknown is never looked at
+    pairs = [
+        ((y, x), (y + dy, x + dx))
+        for y in range(40)
+        for x in range(50)
+        for dy, dx in ((0, 1), (0, -1), (1, 0), (-1, 0))
+        if 0 <= y + dy < 40 and 0 <= x + dx < 50 and known[y, x] and known[y + dy, x + dx]
+    ]
+    scores = []
+    for threshold in THRESHOLDS:
+        true, found = ({(a, b) for a, b in pairs if map_[b] > threshold * map_[a]} for map_ in (truth, depth))
+        scores.append(2 * len(true & found) / (len(true) + len(found)))
+    expected = np.average(scores, weights=[threshold - 1 for threshold in THRESHOLDS])
+    assert 0.2 < expected < 0.95
+    assert f1(depth, truth, known) == pytest.approx(expected, rel=1e-12)

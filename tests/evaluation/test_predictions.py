@@ -37,6 +37,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import Maps, write_maps
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
+from zoedepth.runtimes.fast import Fast
 from zoedepth.stored.maps import RELATIVE_KEY
 from zoedepth.weights.exported import OnnxModel, load_exported
 from zoedepth.weights.fingerprint import weights_fingerprint
@@ -583,6 +584,39 @@ def test_exported_model_predicts_as_many_photos_at_a_time_as_it_was_loaded_for(
     assert loaded.workers == 3
     assert isinstance(loaded.model, OnnxModel)
     assert loaded.model.threads == 1
+
+
+def test_fast_model_computes_in_what_was_chosen(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, object]] = []
+
+    def load(name: object, **options: object) -> Fast:
+        asked.append({"name": name, **options})
+        return Fast(tiny_model, "torch, bfloat16", "measured", "bfloat16", "cpu")
+
+    monkeypatch.setattr("zoedepth.evaluation.predictions.load_fast", load)
+    monkeypatch.setattr("zoedepth.evaluation.predictions.cpu_count", lambda: 3)
+    said: list[str] = []
+    found = ModelSource.load("zoed-lite", compat=["10m"], fast=True, tell=said.append)
+    (options,) = asked
+    assert (options["name"], options["compat"], options["streams"]) == ("zoed-lite", ["10m"], 3)
+    assert said == ["zoed-lite is computed by torch, bfloat16 (measured)"]
+    assert found.about == {"model": "zoed-lite", "compat": ["10m"], "fast": "torch, bfloat16"}
+    sample = photo((50, 90))
+    depth, expected = (
+        source.predict(sample, EVERYWHERE).depth for source in (found, ModelSource(tiny_model, precision="bfloat16"))
+    )
+    np.testing.assert_array_equal(depth, expected)
+    assert not np.array_equal(depth, ModelSource(tiny_model).predict(sample, EVERYWHERE).depth)
+
+
+def test_scores_of_a_fast_model_belong_to_the_file_that_was_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another one may have been exported from the same weights, in 8 bits for other photos."""
+    graph = load_exported(ASSETS / "zoed-lite.onnx")
+    fast = Fast(graph, "ONNX Runtime, float32", "measured", "float32", "cpu")
+    monkeypatch.setattr("zoedepth.evaluation.predictions.load_fast", lambda name, **options: fast)
+    found = ModelSource.load("zoed-lite", fast=True)
+    assert found.weights == weights_fingerprint(graph.path) != weights_fingerprint(ASSETS / "zoed-lite.safetensors")
+    assert found.about["fast"] == "ONNX Runtime, float32"
 
 
 def test_model_of_the_package_gives_the_depth_of_torch_and_says_what_computed() -> None:

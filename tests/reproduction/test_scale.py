@@ -49,3 +49,11 @@ def test_small_rows_keep_what_is_compared_and_have_one_encoder_and_decoder(name:
         assert (small.model.head, small.model.router) == (paper.model.head, paper.model.router)
         assert small.model.decoder == MINIATURE.decoder
         assert small.model.encoder.name == (row.encoder or "tf_efficientnet_lite0")
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_small_trainings_compute_in_the_same_numbers_on_every_machine(name: str) -> None:
+    for row in rows_of(TABLES[name], small=True):
+        config = SMALL.adapt(row)
+        before = SMALL.pretrain(row.base, config.model) if isinstance(config.model, ModelConfig) else ()
+        assert {each.precision for each in (config, *before)} == {"32-true"}

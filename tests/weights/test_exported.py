@@ -6,7 +6,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -264,3 +264,27 @@ def test_graphs_of_the_package_run_on_the_cpu_alone(
     monkeypatch.setattr(onnxruntime, "InferenceSession", start)
     load_exported(ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx"))
     assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if packaged else 2)
+
+
+def test_images_of_a_batch_are_computed_one_by_one_on_a_processor(monkeypatch: pytest.MonkeyPatch):
+    model = load_exported(ASSETS / "zoed-lite.onnx")
+    sizes: list[int] = []
+    run = model.run
+
+    def noted(inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
+        assert {len(each) for each in inputs.values()} == {len(inputs["pixel_values"])}
+        sizes.append(len(inputs["pixel_values"]))
+        return run(inputs, std=std)
+
+    monkeypatch.setattr(model, "run", noted)
+    pixels = np.random.default_rng(0).random((3, 3, 64, 96), dtype=np.float32)
+    heads = np.array([1, 0, 1])
+    one_by_one = model.compute(pixels, heads)
+    monkeypatch.setattr(model, "together", True)  # as on a GPU
+    together = model.compute(pixels, heads)
+    assert sizes == [1, 1, 1, 3]
+    for one, other in zip(one_by_one, together, strict=True):
+        assert one.shape == other.shape
+        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
+    # Each image takes the head that was asked for it.
+    assert not np.allclose(one_by_one.predicted_depth[:1], model.compute(pixels[:1], heads[1:2]).predicted_depth)

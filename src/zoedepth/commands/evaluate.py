@@ -50,6 +50,7 @@ def evaluate(
     mri: str | None = None,
     with_paper: Literal["best", "all"] | None = None,
     device: str = "auto",
+    fast: bool = False,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Score models, and other people's depth maps, on photos with known depth.
@@ -95,6 +96,8 @@ def evaluate(
         with_paper: add the paper's numbers on these data sets, sorted by REL. best: its best, and those of the models
             that are scored. all: all of them.
         device: cpu, cuda, mps, or auto for the best there is.
+        fast: compute with what is fastest on this machine, see `zoedepth benchmark`. Depth is within 1 % of that in
+            float32, so take it to compare what differs more, and not for numbers that are to stand beside others'.
         json_: print one JSON object for each model and data set, and nothing else.
     """
     from rich.console import Console
@@ -106,6 +109,10 @@ def evaluate(
     from zoedepth.stored import to_json
 
     console = Console(stderr=True, highlight=False)
+
+    def note(message: str) -> None:
+        console.print(f"note: {message}", soft_wrap=True, markup=False)
+
     pictures = pictures and out is not None
     if compare and out is None:
         raise InputError("--compare makes pictures: give --out, the folder for them")
@@ -128,7 +135,7 @@ def evaluate(
         name: open_evaluation_set(source, name=name, protocol=chosen[name], changes=changes, root=root)
         for name, source in given.items()
     }
-    sources = _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device)
+    sources = _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device, fast=fast, tell=note)
     if mri is not None and mri not in sources:
         raise InputError(f"--mri is {mri!r}, which is not scored: give one of {', '.join(sources)}")
     found = score_all(
@@ -139,7 +146,7 @@ def evaluate(
         compare=compare,
         track=lambda indices, description: _track(console, indices, description),
         on_failure=lambda message: console.print(f"failed: {message}", soft_wrap=True, markup=False),
-        on_note=lambda message: console.print(f"note: {message}", soft_wrap=True, markup=False),
+        on_note=note,
     )
     if found.processes.rank:
         return 0  # the first says how it went: torchrun ends all at the first that fails, and it has yet to report
@@ -226,6 +233,8 @@ def _sources(
     camera: "CameraUse",
     compat: Sequence[str],
     device: str,
+    fast: bool,
+    tell: Callable[[str], None],
 ) -> "dict[str, PredictionSource]":
     """Open everything that is to be scored, by its label."""
     from zoedepth.commands.progress import download_progress
@@ -235,6 +244,8 @@ def _sources(
         models = ("zoed-lite",)
     if camera == "data" and not models:
         raise InputError("--camera data is for models, and none is scored: add --model, or leave it out")
+    if fast and not models:
+        raise InputError("--fast is for models, and none is scored: add --model, or leave it out")
     names = [
         (label, value) if equals and not os.path.exists(each) else (each, each)  # a path may have a = in it
         for each in models
@@ -247,7 +258,9 @@ def _sources(
     found: dict[str, PredictionSource] = {}
     for label, name in names:
         with download_progress() as progress:
-            found[label] = ModelSource.load(name, compat=compat, device=device, camera=camera, progress=progress)
+            found[label] = ModelSource.load(
+                name, compat=compat, device=device, camera=camera, fast=fast, progress=progress, tell=tell
+            )
     found |= folders
     if trivial:
         by_domain = {domain: protocol for each in sets.values() for domain, protocol in each.protocols.items()}
@@ -280,6 +293,7 @@ def _record(summary: "Summary") -> dict:
         "router": summary.router,
         "alignment": summary.alignment,
         "camera": summary.camera,
+        "fast": summary.fast,
     }
 
 

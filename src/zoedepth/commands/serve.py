@@ -84,7 +84,9 @@ def serve(
         _chosen(model), device, precision, threads, batch_size,
         token=_token(token_file), hosts=allow_host, origins=allow_origin, limits=limits,
     )  # fmt: skip
-    before = signal.signal(signal.SIGTERM, _end)
+    # A script that starts it with & leaves it no handler of SIGINT, and the exit code is promised there, too.
+    ends = {signal.SIGTERM: _end, signal.SIGINT: signal.default_int_handler}
+    before = {number: signal.signal(number, handler) for number, handler in ends.items()}
     try:
         with bind(host, port) as listener:
             address = _address(host, listener.getsockname()[1])
@@ -107,7 +109,8 @@ def serve(
     except _Terminated:
         return EXIT_TERMINATED
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class _Terminated(KeyboardInterrupt):

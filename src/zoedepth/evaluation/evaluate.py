@@ -167,13 +167,15 @@ def evaluate(
             scores = _scores_of_all(found.scores, files, processes)
             shared &= {index for index, score in scores.items() if score.sums is not None}
             n_failed = len(each.dataset) - len(scores)
+            about = getattr(source, "about", {})
             summary = summarise(
                 label,
                 name,
                 list(scores.values()),
                 each.protocols,
                 n_failed=n_failed,
-                camera=str(getattr(source, "about", {}).get("camera", "none")),
+                camera=str(about.get("camera", "none")),
+                fast=str(about.get("fast", "")),
             )
             summaries.append(summary)
             if processes.rank == 0 and scores and summary.metrics is None:

@@ -1,7 +1,7 @@
 """Sources of predictions: a model, a folder of somebody's depth maps, or a guess that never looks at the photo."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeVar, runtime_checkable
@@ -20,11 +20,13 @@ from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.download import Progress
 from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import Protocol
+from zoedepth.forward.answer import Precision
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import DepthArray, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
+from zoedepth.runtimes.fast import load_fast
 from zoedepth.stored import DEPTH_SUFFIXES, read_stored
 from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
@@ -90,6 +92,7 @@ class ModelSource:
         weights: a hash of its weights; scores that were made with others are made anew.
         camera: the knowledge of the photos' cameras that the model is given.
         streams: photos at the same time that an exported model was loaded for (``load_exported``).
+        precision: see ``Predictor``.
 
     Raises:
         InputError: the model is to correct depth by the focal length, and its config does not say that of its training.
@@ -103,6 +106,7 @@ class ModelSource:
         weights: str | None = None,
         camera: CameraUse = "none",
         streams: int = 1,
+        precision: Precision = "float32",
     ) -> None:
         if camera == "data":
             Predictor(model, focal_correction=True)  # says what is missing, before any photo
@@ -112,6 +116,7 @@ class ModelSource:
         self.weights = weights
         self.camera: CameraUse = camera
         self._streams = streams
+        self._precision: Precision = precision
 
     @classmethod
     def load(
@@ -121,7 +126,9 @@ class ModelSource:
         compat: Sequence[str] = (),
         device: str = "auto",
         camera: CameraUse = "none",
+        fast: bool = False,
         progress: Progress | None = None,
+        tell: Callable[[str], object] | None = None,
     ) -> "ModelSource":
         """Load a model, and remember the hash of its weights.
 
@@ -130,19 +137,33 @@ class ModelSource:
             compat: behaviours of the original code to take over; see there, too.
             device: cpu, cuda, mps, or auto for the best there is.
             camera: the knowledge of the photos' cameras that the model is given.
+            fast: take what computes it fastest on this machine, see ``zoedepth.runtimes.fast.load_fast``. Its depth is
+                within 1 % of that in float32, and so are its scores.
             progress: function to call while weights are downloaded; see there, too.
+            tell: called with a sentence before something that takes long, and with the choice where ``fast``; None: a
+                line in the log before what takes long.
 
         Raises:
             InputError: there is no such model, behaviour or device, or it cannot correct depth by the focal length.
         """
         streams = min(cpu_count(), _MOST_WORKERS)
-        with share_cores(streams):  # an exported model takes its threads when it is loaded
-            loaded = load_for_prediction(name, device=device, compat=compat, streams=streams, progress=progress)
-        model = Predictor(loaded, device=device).model
+        precision: Precision = "float32"
         about: dict[str, object] = {"model": str(name), "compat": list(compat)}
+        with share_cores(streams):  # an exported model takes its threads when it is loaded
+            if fast:
+                chosen = load_fast(name, compat=compat, device=device, streams=streams, progress=progress, tell=tell)
+                loaded, precision, device = chosen.model, chosen.precision, chosen.device
+                about["fast"] = chosen.runtime
+                if tell is not None:
+                    tell(f"{name} is computed by {chosen.runtime} ({chosen.why})")
+            else:
+                loaded = load_for_prediction(name, device=device, compat=compat, streams=streams, progress=progress)
+        model = Predictor(loaded, device=device).model
         if isinstance(model, ExportedModel):
             about["runtime"] = model.runtime
-        return cls(model, about=about, weights=weights_fingerprint(find(name)), camera=camera, streams=streams)
+        # What is fast may be a file that was exported from the weights: one in 8 bits is another for other photos.
+        weights = weights_fingerprint(model.path if fast and isinstance(model, ExportedModel) else find(name))
+        return cls(model, about=about, weights=weights, camera=camera, streams=streams, precision=precision)
 
     @property
     def workers(self) -> int:
@@ -174,6 +195,7 @@ class ModelSource:
             pad=protocol.pad,
             upsampling=protocol.upsampling,
             resize=protocol.resize,
+            precision=self._precision,
             focal_correction=self.camera == "data",
         )
         photo = to_image(_resize_photo(sample.image, protocol))

@@ -76,15 +76,16 @@ def score(prediction: Prediction, sample: Sample, protocol: Protocol) -> Score:
         return Score(sample.name, sample.domain, prediction.domain, None)
     truth = sample.target[0].numpy()
     depth = aligned_depth(prediction, truth, scored, protocol)
-    sums = pixel_sums(depth[scored], truth[scored])
+    found, known = depth[scored], truth[scored]
+    sums = pixel_sums(found, known)
     ranges = tuple(
-        pixel_sums(depth[part], truth[part])
-        for part in (scored & (truth >= low) & (truth < high) for low, high in itertools.pairwise(RANGES))
+        pixel_sums(found[part], known[part])
+        for part in ((known >= low) & (known < high) for low, high in itertools.pairwise(RANGES))
     )
     uncertainty = None
     if prediction.std is not None and protocol.alignment == "none":  # an aligned depth is not the one it speaks of
         std = resize_depth(prediction.std, truth.shape)
-        uncertainty = score_uncertainty(depth[scored], truth[scored], std[scored])
+        uncertainty = score_uncertainty(found, known, std[scored])
     edges = boundary_f1(depth, truth, scored)
     return Score(sample.name, sample.domain, prediction.domain, sums, ranges, uncertainty, edges)
 

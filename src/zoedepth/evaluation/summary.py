@@ -48,6 +48,8 @@ class Summary:
     """"none", or how the prediction was aligned with the truth first."""
     camera: str = "none"
     """"none", or "data" where the model was told the camera that the data set says."""
+    fast: str = ""
+    """Library and numbers that computed, where what is fastest here was chosen: "OpenVINO, bfloat16". Else empty."""
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; ``uncertainty`` is called "calibration" there, as in the first version."""
@@ -62,6 +64,7 @@ def summarise(
     *,
     n_failed: int = 0,
     camera: str = "none",
+    fast: str = "",
 ) -> Summary:
     """Average the scores of one source on one data set. The order of the scores does not matter.
 
@@ -72,6 +75,7 @@ def summarise(
         protocols: domain → protocol.
         n_failed: number of images that failed.
         camera: the knowledge of the cameras that the source was given, "none" or "data".
+        fast: see ``Summary``.
 
     Raises:
         InputError: the domains' protocols average or align in different ways.
@@ -110,6 +114,7 @@ def summarise(
         boundary_f1=fmean(edges) if edges else None,
         alignment=alignment,
         camera=camera,
+        fast=fast,
     )
 
 

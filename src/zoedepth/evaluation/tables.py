@@ -170,7 +170,8 @@ def _our_line(summary: Summary) -> _Line:
     aligned = "" if summary.alignment == "none" else f" ({summary.alignment}-aligned)"
     camera = "" if summary.camera == "none" else f" (camera of the {summary.camera})"
     router = "" if summary.router is None else f"{100 * summary.router:.1f} %"
-    cells = (f"{summary.source}{camera}{aligned}", str(summary.n_scored), *numbers, router)
+    fast = f" ({summary.fast})" if summary.fast else ""
+    cells = (f"{summary.source}{fast}{camera}{aligned}", str(summary.n_scored), *numbers, router)
     return _Line(cells, math.inf if metrics is None else metrics["rel"], metrics, bool(aligned))
 
 

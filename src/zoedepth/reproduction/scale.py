@@ -116,8 +116,19 @@ SMALL = Scale("small", small, small_base)
 
 
 def _quiet(config: TrainConfig) -> TrainConfig:
-    """Return a configuration without validation and pictures, that saves often: it may be killed at any moment."""
-    return replace(config, validate_every=10**6, pictures=0, checkpoint_every=50, keep_checkpoints=1, n_workers=2)
+    """Return a configuration without validation and pictures, that saves often: it may be killed at any moment.
+
+    It computes in float32 everywhere: "auto" is bfloat16 on some of the machines that may share the rows.
+    """
+    return replace(
+        config,
+        precision="32-true",
+        validate_every=10**6,
+        pictures=0,
+        checkpoint_every=50,
+        keep_checkpoints=1,
+        n_workers=2,
+    )
 
 
 def relative_model(model: ModelConfig, size: tuple[int, int]) -> ModelConfig:

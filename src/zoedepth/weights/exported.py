@@ -48,6 +48,8 @@ class ExportedModel(ABC):
     runtime: str
     """The library that computes."""
     precision: str = "float32"
+    together: bool = False
+    """Whether images of a batch are computed together. A processor takes longer for that, and more memory."""
 
     def __init__(self, metadata: str | None, path: Path) -> None:
         self.path = path
@@ -89,11 +91,20 @@ class ExportedModel(ABC):
         Raises:
             InputError: the runtime cannot compute it.
         """
-        inputs = {INPUT: np.ascontiguousarray(pixels)}
-        if len(self.config.domains) > 1:
-            inputs[DOMAIN] = np.full(len(pixels), -1) if domain is None else domain.astype(np.int64)
-        found = self.run(inputs, std=std)
-        return Exported(*(found[name].astype(np.float32) if name in found else None for name in Exported._fields))
+        heads = np.full(len(pixels), -1) if domain is None else domain.astype(np.int64)
+        size = len(pixels) if self.together else 1
+        parts = []
+        for first in range(0, len(pixels), size):
+            inputs = {INPUT: np.ascontiguousarray(pixels[first : first + size])}
+            if len(self.config.domains) > 1:
+                inputs[DOMAIN] = heads[first : first + size]
+            parts.append(self.run(inputs, std=std))
+        return Exported(
+            *(
+                np.concatenate([part[name] for part in parts]).astype(np.float32) if name in parts[0] else None
+                for name in Exported._fields
+            )
+        )
 
     def __call__(
         self,
@@ -165,6 +176,7 @@ class OnnxModel(ExportedModel):
         except Exception as error:  # its errors share no class
             raise InputError(f"{path} cannot be read as ONNX: {str(error)[:300]}. Export the model again") from error
         self.names = [output.name for output in self.session.get_outputs()]
+        self.together = "CUDAExecutionProvider" in self.session.get_providers()
         super().__init__(self.session.get_modelmeta().custom_metadata_map.get(METADATA), path)
 
     def __reduce__(self) -> tuple[Any, ...]:
