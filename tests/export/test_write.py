@@ -276,6 +276,12 @@ def test_all_heads_are_the_same_in_openvino(together: Together, tmp_path: Path):
             assert np.allclose(found[output], expected, rtol=1e-4, atol=1e-5), name
 
 
+# OpenVINO itself ends the process: what it sees of the processor, and what its oneDNN is shown, are two things then. A
+# processor that has AVX2 only shows the same to both.
+@pytest.mark.skipif(
+    "ONEDNN_MAX_CPU_ISA" in os.environ,
+    reason="OpenVINO crashes at a Swin under ONEDNN_MAX_CPU_ISA below the processor's",
+)
 def test_swin_is_exported_too(tiny_config: ModelConfig, tmp_path: Path):
     """A convolutional encoder is zoed-lite's: tests of the commands export that."""
     swin = replace(TINY_SWIN, depth=(1, 1, 1, 1))
