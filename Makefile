@@ -3,8 +3,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 OLDEST := .venv.oldest
-# Compiled modules are kept for the many processes that tests start, even where the environment says to write none.
-COMPILED := PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=$(abspath $(VENV))/pycache
+# Compiled modules are kept for the many processes that tests start, even where the environment says to write none, and
+# beside their sources: pip has compiled those of the libraries there.
+COMPILED := PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX=
 PYTEST := $(COMPILED) OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 
 .PHONY: demo demo-train serve test test-processors test-oldest fuzz mutants lint bench docs clean

@@ -35,7 +35,7 @@ without_root() {
   home=$(mktemp -d)
   chmod 777 "$home"
   "${drop[@]}" env HOME="$home" TMPDIR="$home" HYPOTHESIS_STORAGE_DIRECTORY="$home/hypothesis" \
-    PYTHONDONTWRITEBYTECODE= PYTHONPYCACHEPREFIX="$home/pycache" "$python" -m pytest -n auto --maxprocesses 4 -p no:cacheprovider
+    "$python" -m pytest -n auto --maxprocesses 4 -p no:cacheprovider
   local result=$?
   rm -rf "$home"
   return $result

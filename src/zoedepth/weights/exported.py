@@ -49,7 +49,7 @@ class ExportedModel(ABC):
     """The library that computes."""
     precision: str = "float32"
     together: bool = False
-    """Whether images of a batch are computed together. A processor takes longer for that, and more memory."""
+    """True where images of a batch are computed together. A processor takes longer for that, and more memory."""
 
     def __init__(self, metadata: str | None, path: Path) -> None:
         self.path = path
