@@ -107,3 +107,16 @@ def test_few_pixels_have_numbers_too(n: int) -> None:
     found = score_uncertainty(DEPTH[:n], TRUTH[:n], ERROR[:n])
     assert np.isfinite(dataclasses.astuple(found)).all()
     assert found.coverage1 == 1
+
+
+@pytest.mark.parametrize("levels", [1, 7, 3000, 10**9])
+def test_equal_doubts_are_taken_as_they_come(levels: int) -> None:
+    """So that the score is the same on every processor, whatever its way of sorting."""
+    doubts = np.ceil(RNG.uniform(0, levels, size=len(DEPTH)))
+    found = score_uncertainty(DEPTH, TRUTH, DEPTH * doubts)
+    relative = (ERROR / TRUTH)[np.argsort(-(DEPTH * doubts / DEPTH), kind="stable")]
+    worst = np.sort(ERROR / TRUTH)[::-1]
+    starts = np.arange(STEPS) * len(DEPTH) // STEPS
+    one, other = ([float(np.mean(errors[start:])) for start in starts] for errors in (relative, worst))
+    chance = np.mean(worst) - np.mean(other)
+    assert found.ause == pytest.approx((np.mean(one) - np.mean(other)) / chance, rel=1e-9)

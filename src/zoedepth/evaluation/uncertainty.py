@@ -29,11 +29,25 @@ def score_uncertainty(
     """Compare the standard deviation of the scored pixels with their errors; everything in metres."""
     error = np.abs(depth - truth)
     relative = error / truth
-    by_uncertainty = _remaining(relative[np.argsort(-(std / depth), kind="stable")])
+    by_uncertainty = _remaining(relative[_decreasing(std / depth)])
     by_error = _remaining(np.sort(relative)[::-1])
     chance = float(np.mean(relative.mean() - by_error))
     ause = float(np.mean(by_uncertainty - by_error)) / chance if chance > 0 else 0.0
     return UncertaintyScores(ause, float(np.mean(error <= std)), float(np.mean(error <= 2 * std)))
+
+
+def _decreasing(values: np.ndarray) -> np.ndarray:
+    """Return the order of decreasing values, equal ones as they come.
+
+    A stable sort returns the same, and takes three times as long where the processor has AVX-512 (38 ms for the pixels
+    of a photo of NYU, and 10).
+    """
+    order = np.argsort(-values)
+    ordered = values[order]
+    equal = ordered[1:] == ordered[:-1]
+    tied = np.flatnonzero(np.append(equal, False) | np.append(False, equal))
+    order[tied] = order[tied][np.lexsort((order[tied], -ordered[tied]))]
+    return order
 
 
 def _remaining(relative: np.ndarray) -> np.ndarray:
