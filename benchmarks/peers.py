@@ -154,55 +154,57 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
 
 
 def work(name: str, files: dict[str, Path], batch: int, pipe: Connection) -> None:
-    """Run one system: load, one forward, then a forward for each message; at the end send depth and peak memory."""
-    import torch
+    """Run one system: load, one forward, then a forward for each message; at the end send depth and peak memory.
 
-    pixels = torch.rand(batch, 3, *SIZE, generator=torch.Generator().manual_seed(0))
+    The pixels are an array: exported files are run without torch, which would take half a gigabyte of their memory.
+    """
+    pixels = np.random.default_rng(0).random((batch, 3, *SIZE), dtype=np.float32)
     started = time.perf_counter()
     run = _load(name, files)
     loaded = time.perf_counter()
-    with torch.inference_mode():
+    depth = run(pixels)
+    pipe.send((loaded - started, time.perf_counter() - loaded))
+    while pipe.recv() == "run":
+        started = time.perf_counter()
         depth = run(pixels)
-        pipe.send((loaded - started, time.perf_counter() - loaded))
-        while pipe.recv() == "run":
-            started = time.perf_counter()
-            depth = run(pixels)
-            pipe.send(time.perf_counter() - started)
+        pipe.send(time.perf_counter() - started)
     status = Path("/proc/self/status").read_text(encoding="ascii")
     peak = next(int(line.split()[1]) / 1000 for line in status.splitlines() if line.startswith("VmHWM"))
-    pipe.send((np.asarray(depth, dtype=np.float32), peak))
+    pipe.send((depth, peak))
 
 
-def _load(name: str, files: dict[str, Path]) -> Callable[[Any], Any]:
+def _load(name: str, files: dict[str, Path]) -> Callable[[np.ndarray], np.ndarray]:
+    """Return a function from pixels to metres, both arrays."""
+    bfloat16 = "bfloat16" in name
+    if not name.startswith(("transformers", "torch")):
+        from zoedepth.weights.exported import load_exported
+
+        key = "onnx" if "ONNX" in name else "int8" if "int8" in name else "openvino"
+        exported = load_exported(files[key], precision="bfloat16" if bfloat16 else "float32")
+        return lambda pixels: exported.compute(pixels, std=False).predicted_depth
     import torch
 
-    bfloat16 = "bfloat16" in name
     if name.startswith("transformers"):
         from transformers import ZoeDepthForDepthEstimation
 
         peer = ZoeDepthForDepthEstimation.from_pretrained(files["transformers"]).eval()
 
-        def run_peer(pixels: Any) -> Any:
-            with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-                return peer(pixel_values=2 * pixels - 1).predicted_depth.float()
-
-        return run_peer
-    if name.startswith("torch"):
+        def depth_of(pixels: torch.Tensor) -> torch.Tensor:
+            return peer(pixel_values=2 * pixels - 1).predicted_depth
+    else:
         from zoedepth import load_model
 
         network = load_model(files["weights"])
         forward = torch.compile(network) if "compile" in name else network
 
-        def run_torch(pixels: Any) -> Any:
-            with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-                return forward(pixels).depth[:, 0].float()
+        def depth_of(pixels: torch.Tensor) -> torch.Tensor:
+            return forward(pixels).depth[:, 0]
 
-        return run_torch
-    from zoedepth import load_model
+    def run(pixels: np.ndarray) -> np.ndarray:
+        with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+            return depth_of(torch.from_numpy(pixels)).float().numpy()
 
-    key = "onnx" if "ONNX" in name else "int8" if "int8" in name else "openvino"
-    exported = load_model(files[key], precision="bfloat16" if bfloat16 else "float32")
-    return lambda pixels: exported(pixels).depth[:, 0]
+    return run
 
 
 def machine_rates() -> dict[str, float]:
