@@ -43,7 +43,8 @@ def only_one(manifest: Path) -> Iterator[None]:
     try:
         try:
             lock.acquire()
-        except NotImplementedError:  # raised by filelock where the file system has no locks: a file stands for one
+        except NotImplementedError:
+            # filelock says so that the file system has no locks; it is no promise of ours. A file stands for the lock.
             path = path.with_suffix(".held")
             holder = _holder(path)
             lock = SoftFileLock(path, timeout=0)

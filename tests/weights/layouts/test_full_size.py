@@ -50,13 +50,12 @@ def _heads(about: dict) -> tuple[str, ...]:
     return tuple(entry["name"] for entry in about["bin_configurations"])
 
 
-# Smaller twins are loaded on every system; the bound on memory can be seen on Linux alone.
-@pytest.mark.skipif(sys.platform != "linux", reason="the memory of a process is read from Linux's /proc")
 def test_checkpoint_of_the_released_names_loads_predicts_and_keeps_its_bits_in_another_layout(tmp_path: Path):
     source = tmp_path / "ZoeD_M12_NK.pt"
     full_size.write("original-nk.txt", source)
     model, peak = full_size.load(source)
-    assert peak < 1.6 * source.stat().st_size
+    if sys.platform == "linux":  # others do not tell a process the most memory that it had since a moment
+        assert peak < 1.6 * source.stat().st_size
     released = PRESETS["zoed-m12-nk"]
     narrow = EncoderConfig(
         "beit_base_patch16_384", "beit", size=released.encoder.size, taps=released.encoder.taps,
