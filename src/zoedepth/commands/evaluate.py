@@ -102,6 +102,7 @@ def evaluate(
     """
     from rich.console import Console
 
+    from zoedepth.evaluation.dataset_scores import Processes
     from zoedepth.evaluation.evaluate import evaluate as score_all
     from zoedepth.evaluation.evaluation_set import open_evaluation_set
     from zoedepth.evaluation.out_folder import check_folder
@@ -111,7 +112,8 @@ def evaluate(
     console = Console(stderr=True, highlight=False)
 
     def note(message: str) -> None:
-        console.print(f"note: {message}", soft_wrap=True, markup=False)
+        if Processes.from_environment().rank == 0:  # the others would say the same
+            console.print(f"note: {message}", soft_wrap=True, markup=False)
 
     pictures = pictures and out is not None
     if compare and out is None:
