@@ -9,6 +9,7 @@ in the precision of the row). No implementation of the same arithmetic is faster
 Markdown table, and draws it to ``--out``/MODEL-BATCH.png.
 """
 
+import math
 import multiprocessing
 import statistics
 import time
@@ -107,7 +108,8 @@ def main(
              "median difference", "REL")  # fmt: skip
     print(f"| | {' | '.join(heads)} |\n|---|{len(heads) * '---:|'}")
     for name, s, low, high, ratio, floor, peak, share, load, first, difference, rel in rows:
-        print(f"| {name} | {s:.2f} | {low:.2f} - {high:.2f} | {ratio:.2f} | {floor:.2f} | {peak:.0f} | {share:.0%} "
+        times = "" if math.isnan(floor) else f"{floor:.2f}"
+        print(f"| {name} | {s:.2f} | {low:.2f} - {high:.2f} | {ratio:.2f} | {times} | {peak:.0f} | {share:.0%} "
               f"| {load:.1f} | {first:.1f} | {difference:.1e} | {rel:.1e} |")  # fmt: skip
     _plot(rows, {name: gigaflops / rates[kind] for name, kind in SYSTEMS.items()}, out / f"{model}-{batch}.png")
 
@@ -208,7 +210,10 @@ def _load(name: str, files: dict[str, Path]) -> Callable[[np.ndarray], np.ndarra
 
 
 def machine_rates() -> dict[str, float]:
-    """Measure GFLOP/s of large products in each precision with all threads, and GB/s that a copy reads and writes."""
+    """Measure GFLOP/s of large products in each precision with all threads, and GB/s that a copy reads and writes.
+
+    A precision that torch has no fast product for here, as on processors without AVX-512, is NaN.
+    """
     import torch
 
     def best(function: Callable[[], object]) -> float:
@@ -220,18 +225,24 @@ def machine_rates() -> dict[str, float]:
             times.append(time.perf_counter() - started)
         return min(times)
 
+    def rate(
+        product: Callable[[torch.Tensor, torch.Tensor], torch.Tensor], matrix: torch.Tensor, few: torch.Tensor
+    ) -> float:
+        if 2 * len(few) ** 3 / best(lambda: product(few, few)) / 1e9 < rates["float32"] / 10:
+            return math.nan
+        return 2 * n**3 / best(lambda: product(matrix, matrix)) / 1e9
+
     n = 3072
     x = torch.randn(n, n)
-    rates = {}
+    rates: dict[str, float] = {}
     with torch.inference_mode():
         # There are several kernels for a product; the best one shows what the machine can do.
         image = x.T.reshape(1, n, 1, n).contiguous(memory_format=torch.channels_last)
         linear, convolution = best(lambda: x @ x), best(lambda: torch.conv2d(image, x[:, :, None, None]))
         rates["float32"] = 2 * n**3 / min(linear, convolution) / 1e9
-        half = x.bfloat16()
-        rates["bfloat16"] = 2 * n**3 / best(lambda: half @ half) / 1e9
-        integers = torch.randint(-127, 127, (n, n), dtype=torch.int8)
-        rates["int8"] = 2 * n**3 / best(lambda: torch._int_mm(integers, integers)) / 1e9
+        few = x[:256, :256].contiguous()
+        rates["bfloat16"] = rate(torch.mm, x.bfloat16(), few.bfloat16())
+        rates["int8"] = rate(torch._int_mm, (100 * x).to(torch.int8), (100 * few).to(torch.int8))
         source = torch.empty(1 << 26)
         target = torch.empty_like(source)
         rates["copy"] = 2 * source.nbytes / best(lambda: target.copy_(source)) / 1e9

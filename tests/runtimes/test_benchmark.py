@@ -220,6 +220,21 @@ def test_table_and_choice(
     assert {work.at_once for work in stage.works} == {2}
 
 
+@pytest.mark.parametrize(("ratio", "problem"), [(0.29, "0.29 times as fast as in float32"), (0.31, "")])
+def test_bfloat16_that_would_take_forever_is_not_measured(
+    ratio: float,
+    problem: str,
+    weights: Path,
+    photos: list[Path],
+    nothing_exported: list[tuple[str, tuple[Path, ...]]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(benchmarks, "products", lambda machine: {"float32": 100.0, "bfloat16": 100 * ratio})
+    row = by_name(benchmark(weights, photos=photos, start=Stage().start, repeats=1))["torch, bfloat16"]
+    assert problem in row.problem
+    assert (row.failed, row.seconds is None) == (False, bool(problem))
+
+
 def test_int8_is_chosen_where_it_was_calibrated_on_other_photos(
     weights: Path, photos: list[Path], nothing_exported: list[tuple[str, tuple[Path, ...]]]
 ) -> None:

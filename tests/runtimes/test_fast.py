@@ -202,6 +202,14 @@ class TestDecide:
         assert f"OpenVINO was left out: {error}" in choice.why
         assert holds == lasting
 
+    def test_bfloat16_that_the_processor_has_not_is_left_out(
+        self, weights: Path, here: Machine, exported: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("zoedepth.runtimes.runtime.has_bfloat16", lambda: False)
+        choice, holds = decide(find_source(weights), here, measure=lambda on_gpu: QUICK)
+        assert (choice.runtime, holds) == ("OpenVINO, float32", True)
+        assert "OpenVINO, bfloat16 was left out: this processor has no bfloat16" in choice.why
+
     def test_comparison_that_fails_is_no_bfloat16(self, weights: Path, here: Machine, exported: dict[str, Any]) -> None:
         def fail(base: Predictor, other: Predictor) -> tuple[float, float]:
             raise InputError("no memory")

@@ -44,6 +44,14 @@ def test_what_is_missing_is_said(
     assert RUNTIMES[name].missing(machine, packaged=packaged) == expected
 
 
+def test_bfloat16_that_openvino_would_not_compute_is_missing(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runtimes, "find_spec", lambda module: object())
+    monkeypatch.setattr(runtimes, "has_bfloat16", lambda: False)
+    problem = RUNTIMES["OpenVINO, bfloat16"].missing(machine)
+    assert problem == "this processor has no bfloat16, and OpenVINO would compute in float32"
+    assert RUNTIMES["OpenVINO, float32"].missing(machine) == ""
+
+
 def test_gpu_that_is_here_is_not_missing(machine: Machine) -> None:
     assert RUNTIMES["torch, float16, GPU"].missing(replace(machine, accelerator="H200")) == ""
 

@@ -1,6 +1,7 @@
 """Exported files: those that run here, those that are refused, and small ones that would unpack to gigabytes."""
 
 import copy
+import functools
 import json
 import os
 import pickle
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import onnx
 import onnxruntime
-import openvino
+import openvino.opset13
 import pytest
 import torch
 from onnx import TensorProto, helper
@@ -30,7 +31,9 @@ from zoedepth.provenance import Provenance
 from zoedepth.weights.exported import METADATA, OnnxModel, is_exported, load_exported
 from zoedepth.weights.load import load_model
 from zoedepth.weights.releases import ASSETS
+from zoedepth.weights.tensors import INPUT
 
+operators: Any = openvino.opset13
 FAR = PRESETS["zoed-m12-n"]
 SOUND = json.dumps({"config": to_dict(FAR)})
 SIDES = ["batch", 3, "height", "width"]
@@ -288,3 +291,76 @@ def test_images_of_a_batch_are_computed_one_by_one_on_a_processor(monkeypatch: p
         np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-5)
     # Each image takes the head that was asked for it.
     assert not np.allclose(one_by_one.predicted_depth[:1], model.compute(pixels[:1], heads[1:2]).predicted_depth)
+
+
+def attractors_file(path: Path, n_attractors: int) -> Path:
+    """A graph for OpenVINO that moves 64 bin centers as the heads do, and gives their mean for depth."""
+    random = np.random.default_rng(0)
+    pixels = operators.parameter([-1, 3, -1, -1], np.float32, name=INPUT)
+    pixels.output(0).set_names({INPUT})
+
+    def convolved(n_channels: int) -> Any:
+        kernel = random.standard_normal((n_channels, 3, 1, 1)).astype(np.float32)
+        return operators.softplus(operators.convolution(pixels, kernel, [1, 1], [0, 0], [0, 0], [1, 1]))
+
+    centers, pulls = convolved(64), []
+    for attractor in operators.split(convolved(n_attractors), 1, n_attractors).outputs():
+        distance = operators.subtract(attractor, centers)
+        strength = operators.multiply(operators.multiply(distance, distance), np.float32(300))
+        pulls.append(operators.divide(distance, operators.add(np.float32(1), strength)))
+    moved = operators.reduce_mean(functools.reduce(operators.add, pulls, centers), np.array([1]))
+    moved.output(0).set_names({"predicted_depth"})
+    graph: Any = openvino.Model([moved], [pixels], "attractors")
+    graph.set_rt_info(SOUND, METADATA)
+    openvino.save_model(graph, path, compress_to_fp16=False)
+    return path
+
+
+def test_attractors_are_compiled_on_every_processor(tmp_path: Path) -> None:
+    """OpenVINO merges them into more than a processor without AVX-512 has registers for."""
+    model = load_exported(attractors_file(tmp_path / "model.xml", 16))
+    pixels = np.random.default_rng(1).random((1, 3, 64, 96), dtype=np.float32)
+    # The graph for one shape merges the attractors, and the one for other shapes does not.
+    alone, two = (model.run({INPUT: np.repeat(pixels, n, axis=0)}, std=True)["predicted_depth"] for n in (1, 2))
+    assert alone.std() > 0.01
+    assert np.allclose(alone[0], two[1], rtol=1e-4)
+
+
+def test_what_openvino_has_no_registers_for_is_compiled_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = load_exported(attractors_file(tmp_path / "model.xml", 2))
+    compile_model, seen = openvino.Core.compile_model, list[bool]()
+
+    def without_registers(core: Any, graph: Any, device: str, properties: dict[str, Any]) -> Any:
+        merged = "SNIPPETS_MODE" not in properties
+        seen.append(merged)
+        if merged:
+            raise RuntimeError("... Can't allocate registers for a snippet: not enough registers")
+        return compile_model(core, graph, device, properties)
+
+    monkeypatch.setattr(openvino.Core, "compile_model", without_registers)
+    for size in (64, 96):
+        assert model.run({INPUT: np.ones((1, 3, size, 64), np.float32)}, std=True)["predicted_depth"].size
+    assert seen == [True, False, False]
+
+
+def test_other_failures_of_openvino_are_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = load_exported(attractors_file(tmp_path / "model.xml", 2))
+
+    def failing(core: Any, graph: Any, device: str, properties: dict[str, Any]) -> Any:
+        raise RuntimeError("the processor is on fire")
+
+    monkeypatch.setattr(openvino.Core, "compile_model", failing)
+    with pytest.raises(InputError, match=r"cannot compile .*the processor is on fire"):
+        model.run({INPUT: np.ones((1, 3, 64, 64), np.float32)}, std=True)
+
+
+@pytest.mark.parametrize(("capabilities", "computed"), [(["FP32"], "float32"), (["FP32", "BF16"], "bfloat16")])
+def test_bfloat16_is_said_where_it_is_computed(
+    capabilities: list[str], computed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """OpenVINO takes no notice of the wish where the processor cannot do it."""
+    monkeypatch.setattr(openvino.Core, "get_property", lambda core, device, name: capabilities)
+    model = load_exported(attractors_file(tmp_path / "model.xml", 2), precision="bfloat16")
+    assert model.precision == computed

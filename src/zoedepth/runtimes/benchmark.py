@@ -13,6 +13,7 @@ from zoedepth.images import DepthArray, read_image
 from zoedepth.runtimes.choice import ENOUGH_PHOTOS, Choice, Row, allowed_rel, fastest
 from zoedepth.runtimes.exports import exported_file, find_source, packaged_graph
 from zoedepth.runtimes.machine import Machine, this_machine, versions
+from zoedepth.runtimes.products import products
 from zoedepth.runtimes.runtime import BASE, RUNTIMES, Runtime
 from zoedepth.runtimes.worker import Process, Task, Work, Worker, largest_rel
 from zoedepth.weights.exported import is_exported
@@ -27,6 +28,10 @@ MAX_CALIBRATION = 300
 
 MEMINFO = Path("/proc/meminfo")
 
+_HALF = Runtime("torch", "bfloat16")
+_HOPELESS = 0.3
+"""Speed of products in bfloat16, in those of float32, from which torch's row in it is measured. A processor that has no
+instruction for it takes minutes for a photo of a large model."""
 _SAME_PHOTOS = "calibrated on the photos that it is compared on: give more photos"
 _ROOM = 1.5
 """Share of the largest worker's memory that must be free to start another one beside it."""
@@ -60,7 +65,9 @@ def benchmark(
     tell: Callable[[str], object] | None = None,
     start: Callable[[Work], Worker] = Process,
 ) -> Benchmark:
-    """Measure a model in every runtime of this machine, and choose the fastest. Nothing but exported files is written.
+    """Measure a model in every runtime of this machine, and choose the fastest.
+
+    Exported files and the speed of one large product are kept in the user's cache; nothing else is written.
 
     Every runtime has a process of its own, which is started by ``spawn``: a program calls this below
     ``if __name__ == "__main__"``.
@@ -105,6 +112,11 @@ def benchmark(
             problem = "left out"
         if runtime.on_gpu and device == "cpu":
             problem = "left out"
+        if runtime == _HALF and not problem:
+            found = products(machine)
+            ratio = found["bfloat16"] / found["float32"]
+            if ratio < _HOPELESS:
+                problem = f"products in bfloat16 are {ratio:.2f} times as fast as in float32 here"
         rows[runtime.name] = Row(runtime.name, problem=problem)
         if problem:
             continue

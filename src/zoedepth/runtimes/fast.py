@@ -178,7 +178,9 @@ def decide(
             break
     reasons.insert(0, "a GPU is here" if chosen.on_gpu else "fastest of docs/performance.md that is installed here")
     half = Runtime(chosen.library, "bfloat16", chosen.on_gpu)
-    if half.name in RUNTIMES:
+    if half.name in RUNTIMES and (problem := half.missing(machine)):
+        reasons.append(f"{half.name} was left out: {problem}")
+    elif half.name in RUNTIMES:
         with threads(cpu_count()):  # all, whatever the photos that will be computed at the same time have each
             found = products(machine, measure=measure)
         ratio = found["bfloat16"] / found["float32"]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from zoedepth.forward.answer import Precision
 from zoedepth.runtimes.machine import Machine
-from zoedepth.weights.exported import ExportedModel, load_exported
+from zoedepth.weights.exported import ExportedModel, has_bfloat16, load_exported
 from zoedepth.weights.load import load_network
 
 if TYPE_CHECKING:
@@ -63,7 +63,11 @@ class Runtime:
             modules = (*modules, "nncf")
         if packaged and self.library == "ONNX Runtime":
             modules = ("onnxruntime",)
-        return f"not installed: pip install 'zoedepth[{extra}]'" if any(map(_absent, modules)) else ""
+        if any(map(_absent, modules)):
+            return f"not installed: pip install 'zoedepth[{extra}]'"
+        if self.library == "OpenVINO" and self.numbers == "bfloat16" and not has_bfloat16():
+            return "this processor has no bfloat16, and OpenVINO would compute in float32"
+        return ""
 
     def load(self, model: Path, *, compat: Sequence[str] = (), streams: int = 1) -> "DepthModel | ExportedModel":
         """Load a model for it.

@@ -226,7 +226,9 @@ class OpenVinoModel(ExportedModel):
                 f"{path} cannot be read as OpenVINO: {str(error)[:300]}. Is its .bin file beside it?"
             ) from error
         quantized = any(node.get_type_name() == "FakeQuantize" for node in self.graph.get_ops())
-        self.precision = "int8" if quantized else precision
+        # Where the processor has no bfloat16, OpenVINO takes no notice of the hint.
+        computed = precision if precision == "float32" or has_bfloat16() else "float32"
+        self.precision = "int8" if quantized else computed
         self.lock = Lock()
         self.first_shape: tuple[int, ...] | None = None
         self.compiled: dict[tuple[bool, bool], Any] = {}
@@ -253,12 +255,38 @@ class OpenVinoModel(ExportedModel):
             if key not in self.compiled:
                 try:
                     graph = specialized(self.graph, shape=shape if key[0] else None, without=() if std else (STD,))
-                    self.compiled[key] = self.core.compile_model(graph, "CPU", self.properties)
+                    self.compiled[key] = self._compile(graph)
                 except Exception as error:  # a RuntimeError of C++, mostly
                     raise InputError(
                         f"OpenVINO cannot compile {self.path}: {str(error)[:300]}. Export the model again"
                     ) from error
             return self.compiled[key]
+
+    def _compile(self, graph: Any) -> Any:
+        try:
+            return self.core.compile_model(graph, "CPU", self.properties)
+        except RuntimeError as error:
+            if _NO_REGISTERS not in str(error):
+                raise
+            # It says so after all of its work: the next shape is compiled like this at once.
+            self.properties["SNIPPETS_MODE"] = "DISABLE"
+            return self.core.compile_model(graph, "CPU", self.properties)
+
+
+_NO_REGISTERS = "Can't allocate registers for a snippet"
+"""Words of OpenVINO (2026.4) where it has merged more operations than a processor without AVX-512 has registers for: it
+does so with five attractors and more. Without merging it compiles them (docs/log.md)."""
+
+
+def has_bfloat16() -> bool:
+    """Return True if OpenVINO computes in bfloat16 on this processor, where it is told to.
+
+    Raises:
+        ModuleNotFoundError: OpenVINO is not installed.
+    """
+    import openvino
+
+    return "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
 
 
 _SMALL = 100_000_000
@@ -326,7 +354,8 @@ def load_exported(
 
     Args:
         path: .onnx file, or OpenVINO's .xml with its .bin beside it.
-        precision: number type that OpenVINO computes in; ONNX Runtime always uses the file's.
+        precision: number type that OpenVINO computes in; ONNX Runtime always uses the file's. Where the processor has
+            no bfloat16, it is float32, and the model's ``precision`` says so.
         threads: processor threads of each forward; None: as many as torch uses or, where it is not imported, would.
         streams: number of forwards that will run at the same time (OpenVINO).
 
