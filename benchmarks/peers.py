@@ -44,6 +44,7 @@ def main(
     rounds: int = 7,
     systems: tuple[str, ...] = tuple(name for name in SYSTEMS if "compile" not in name),
     photos: Path | None = None,
+    keep: bool = False,
 ) -> None:
     """Measure and print.
 
@@ -54,16 +55,19 @@ def main(
         rounds: measured forwards of each system, after one that is not measured.
         systems: rows; the others are compared with the first. torch.compile runs only if it is named.
         photos: folder of photos to calibrate int8 on; None: made-up colours.
+        keep: keep what OpenVINO compiles in ``out``/compiled, as ``predict --fast`` does in the cache: the second run
+            shows the second start.
     """
     out.mkdir(parents=True, exist_ok=True)
     files = prepare(model, out, systems, photos)
+    compiled = out / "compiled" if keep else None
     gigaflops = _gigaflops(files["weights"], batch)
     rates = machine_rates()
     context = multiprocessing.get_context("spawn")
     workers: dict[str, Any] = {}
     for name in systems:
         here, there = context.Pipe()
-        process = context.Process(target=work, args=(name, files, batch, there), daemon=True)
+        process = context.Process(target=work, args=(name, files, batch, compiled, there), daemon=True)
         process.start()
         load, first = here.recv()  # before the next one starts: loading is timed too
         workers[name] = (process, here, load, first, [])
@@ -155,14 +159,14 @@ def prepare(model: str, out: Path, systems: tuple[str, ...], photos: Path | None
     return files
 
 
-def work(name: str, files: dict[str, Path], batch: int, pipe: Connection) -> None:
+def work(name: str, files: dict[str, Path], batch: int, compiled: Path | None, pipe: Connection) -> None:
     """Run one system: load, one forward, then a forward for each message; at the end send depth and peak memory.
 
     The pixels are an array: exported files are run without torch, which would take half a gigabyte of their memory.
     """
     pixels = np.random.default_rng(0).random((batch, 3, *SIZE), dtype=np.float32)
     started = time.perf_counter()
-    run = _load(name, files)
+    run = _load(name, files, compiled)
     loaded = time.perf_counter()
     depth = run(pixels)
     pipe.send((loaded - started, time.perf_counter() - loaded))
@@ -175,14 +179,15 @@ def work(name: str, files: dict[str, Path], batch: int, pipe: Connection) -> Non
     pipe.send((depth, peak))
 
 
-def _load(name: str, files: dict[str, Path]) -> Callable[[np.ndarray], np.ndarray]:
+def _load(name: str, files: dict[str, Path], compiled: Path | None) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function from pixels to metres, both arrays."""
     bfloat16 = "bfloat16" in name
     if not name.startswith(("transformers", "torch")):
         from zoedepth.weights.exported import load_exported
 
         key = "onnx" if "ONNX" in name else "int8" if "int8" in name else "openvino"
-        exported = load_exported(files[key], precision="bfloat16" if bfloat16 else "float32")
+        keep = compiled / key if compiled is not None else None
+        exported = load_exported(files[key], precision="bfloat16" if bfloat16 else "float32", keep=keep)
         return lambda pixels: exported.compute(pixels, std=False).predicted_depth
     import torch
 

@@ -37,15 +37,18 @@ def here(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> Machine:
 @pytest.fixture
 def exported(monkeypatch: pytest.MonkeyPatch, tiny_model: ZoeDepth) -> dict[str, Any]:
     """Every runtime is installed, and loads the tiny model; "error" is what exporting raises."""
-    about: dict[str, Any] = {"error": None, "streams": []}
+    about: dict[str, Any] = {"error": None, "streams": [], "keep": []}
 
     def export(source: object, runtime: Runtime, *, tell: object) -> Path:
         if about["error"] is not None:
             raise about["error"]
         return Path("model.xml")
 
-    def load(self: Runtime, model: Path, *, compat: object = (), streams: int = 1) -> ZoeDepth:
+    def load(
+        self: Runtime, model: Path, *, compat: object = (), streams: int = 1, keep: Path | None = None
+    ) -> ZoeDepth:
         about["streams"].append(streams)
+        about["keep"].append(keep)
         return tiny_model
 
     monkeypatch.setattr("zoedepth.runtimes.runtime.find_spec", lambda module: object())
@@ -69,6 +72,8 @@ class TestLoadFast:
         # The file computes in bfloat16 by itself: torch, which is what the predictor asks, has no part in it.
         assert (found.precision, found.device) == ("float32", "cpu")
         assert exported["streams"] == [3]
+        # Beside the exported file, with which it goes: another version has another folder, as another machine has.
+        assert exported["keep"] == [Path(f"compiled-{here.fingerprint}")]
 
     def test_torch_in_bfloat16_is_told_to_the_predictor(self, weights: Path, here: Machine, photos: list[Path]) -> None:
         chosen(weights, here, "torch, bfloat16")

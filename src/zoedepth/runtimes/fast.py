@@ -73,7 +73,8 @@ def load_fast(
         fast = load_fast("zoed-lite")
         predictor = Predictor(fast.model, precision=fast.precision, device=fast.device)
 
-    The first call for a model exports it, once, to the user's cache; where that fails it runs in torch.
+    The first call for a model exports it, once, to the user's cache; where that fails it runs in torch. What OpenVINO
+    compiles from it is kept there, too.
 
     Args:
         model: a name, file, folder or Hugging Face id, see ``load_model``. An exported file runs in its own runtime.
@@ -113,7 +114,9 @@ def load_fast(
     if on_other and not runtime.on_gpu:
         return _base(source, device, "the device was asked for")
     try:
-        network = runtime.load(_file(source, runtime, choice.file, say), compat=source.compat, streams=streams)
+        file = _file(source, runtime, choice.file, say)
+        keep = file.parent / f"compiled-{machine.fingerprint}" if runtime.library == "OpenVINO" else None
+        network = runtime.load(file, compat=source.compat, streams=streams, keep=keep)
     except (ZoeDepthError, OSError) as error:
         if runtime.library == BASE.library:
             raise

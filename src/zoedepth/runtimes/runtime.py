@@ -69,20 +69,24 @@ class Runtime:
             return "this processor has no bfloat16, and OpenVINO would compute in float32"
         return ""
 
-    def load(self, model: Path, *, compat: Sequence[str] = (), streams: int = 1) -> "DepthModel | ExportedModel":
+    def load(
+        self, model: Path, *, compat: Sequence[str] = (), streams: int = 1, keep: Path | None = None
+    ) -> "DepthModel | ExportedModel":
         """Load a model for it.
 
         Args:
             model: the weights for torch; for the others, the exported file.
             compat: see ``load_model``; an exported file has its behaviour built in.
             streams: number of forwards that will run at the same time.
+            keep: folder for compiled graphs, see ``load_exported``.
 
         Raises:
             InputError: it cannot be loaded, see ``load_model``.
         """
         if self.suffix is None:
             return load_network(model, compat=compat)
-        return load_exported(model, precision="bfloat16" if self.numbers == "bfloat16" else "float32", streams=streams)
+        precision: Precision = "bfloat16" if self.numbers == "bfloat16" else "float32"
+        return load_exported(model, precision=precision, streams=streams, keep=keep)
 
 
 def _absent(module: str) -> bool:

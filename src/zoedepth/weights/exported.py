@@ -17,6 +17,7 @@ from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
 from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count, wait_asleep
+from zoedepth.weights.compiled import CompiledGraphs
 from zoedepth.weights.openvino_graph import specialized
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
@@ -203,13 +204,14 @@ class OpenVinoModel(ExportedModel):
 
     runtime = "OpenVINO"
 
-    def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int) -> None:
+    def __init__(self, path: Path, *, precision: Precision, threads: int, streams: int, keep: Path | None) -> None:
         try:
             import openvino
         except ModuleNotFoundError as error:
             raise MissingExtraError("openvino", "running an OpenVINO file") from error
-        self.options: dict[str, Any] = {"precision": precision, "threads": threads, "streams": streams}
+        self.options: dict[str, Any] = {"precision": precision, "threads": threads, "streams": streams, "keep": keep}
         self.core = openvino.Core()
+        self.kept = None if keep is None else CompiledGraphs(keep, self.core)
         self.properties = {
             "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
             "INFERENCE_NUM_THREADS": threads * streams,
@@ -253,24 +255,29 @@ class OpenVinoModel(ExportedModel):
             self.first_shape = self.first_shape or shape
             key = (shape == self.first_shape, std)
             if key not in self.compiled:
-                try:
-                    graph = specialized(self.graph, shape=shape if key[0] else None, without=() if std else (STD,))
-                    self.compiled[key] = self._compile(graph)
-                except Exception as error:  # a RuntimeError of C++, mostly
-                    raise InputError(
-                        f"OpenVINO cannot compile {self.path}: {str(error)[:300]}. Export the model again"
-                    ) from error
+                # Any other shape has a graph for all shapes, which is compiled each time.
+                kept = self.kept if key[0] else None
+                found = None if kept is None else kept.read(shape, std=std, properties=self.properties)
+                self.compiled[key] = found or self._compile(shape if key[0] else None, std)
+                if kept is not None and found is None:
+                    kept.write(self.compiled[key], shape, std=std, properties=self.properties)
             return self.compiled[key]
 
-    def _compile(self, graph: Any) -> Any:
+    def _compile(self, shape: tuple[int, ...] | None, std: bool) -> Any:
         try:
-            return self.core.compile_model(graph, "CPU", self.properties)
-        except RuntimeError as error:
-            if _NO_REGISTERS not in str(error):
-                raise
-            # It says so after all of its work: the next shape is compiled like this at once.
-            self.properties["SNIPPETS_MODE"] = "DISABLE"
-            return self.core.compile_model(graph, "CPU", self.properties)
+            graph = specialized(self.graph, shape=shape, without=() if std else (STD,))
+            try:
+                return self.core.compile_model(graph, "CPU", self.properties)
+            except RuntimeError as error:
+                if _NO_REGISTERS not in str(error):
+                    raise
+                # It says so after all of its work: the next graph is compiled like this at once.
+                self.properties["SNIPPETS_MODE"] = "DISABLE"
+                return self.core.compile_model(graph, "CPU", self.properties)
+        except Exception as error:  # a RuntimeError of C++, mostly
+            raise InputError(
+                f"OpenVINO cannot compile {self.path}: {str(error)[:300]}. Export the model again"
+            ) from error
 
 
 _NO_REGISTERS = "Can't allocate registers for a snippet"
@@ -344,7 +351,12 @@ def is_exported(name_or_path: str | Path) -> bool:
 
 
 def load_exported(
-    path: str | Path, *, precision: Precision = "float32", threads: int | None = None, streams: int = 1
+    path: str | Path,
+    *,
+    precision: Precision = "float32",
+    threads: int | None = None,
+    streams: int = 1,
+    keep: Path | None = None,
 ) -> ExportedModel:
     """Load a file that ``zoedepth export`` wrote. ``load_model`` does it too; only here threads can be chosen.
 
@@ -358,6 +370,8 @@ def load_exported(
             no bfloat16, it is float32, and the model's ``precision`` says so.
         threads: processor threads of each forward; None: as many as torch uses or, where it is not imported, would.
         streams: number of forwards that will run at the same time (OpenVINO).
+        keep: folder in which OpenVINO's compiled graph is kept for the next start, as large as the weights for each of
+            up to three shapes of pixels. It belongs to this file, this version of OpenVINO and this machine alone.
 
     Raises:
         InputError: there is no such file, it is of another kind, or ``zoedepth export`` did not make it.
@@ -370,7 +384,7 @@ def load_exported(
     if path.suffix.lower() == ".onnx":
         return OnnxModel(path, threads=threads)
     if path.suffix.lower() == ".xml":
-        return OpenVinoModel(path, precision=precision, threads=threads, streams=streams)
+        return OpenVinoModel(path, precision=precision, threads=threads, streams=streams, keep=keep)
     raise InputError(f"{path} is not an exported model that can run here: give a .onnx or .xml file")
 
 
