@@ -1,6 +1,7 @@
 """Products of BEiT-L's linear layers in float32 without gradients: as torch has them, or as 1x1 convolutions.
 
-On a processor of AMD, or with ``MKL_ENABLE_INSTRUCTIONS=AVX2``, which makes MKL take the path it takes there.
+On a processor of AMD with AVX-512; or on one of Intel with ``MKL_ENABLE_INSTRUCTIONS=AVX2``, which makes MKL take the
+path that it takes there.
 """
 
 import torch

@@ -108,21 +108,24 @@ def test_every_way_to_a_model_gives_the_same_layers(
 
 
 @pytest.mark.parametrize(
-    ("about", "instructions", "slow"),
+    ("about", "capability", "instructions", "slow"),
     [
-        ("vendor_id\t: AuthenticAMD\n", None, True),
-        ("vendor_id\t: GenuineIntel\n", None, False),
-        ("vendor_id\t: GenuineIntel\n", "AVX2", True),
-        ("vendor_id\t: GenuineIntel\n", "AVX512_E1", False),
+        ("vendor_id\t: AuthenticAMD\n", "AVX512", None, True),
+        ("vendor_id\t: AuthenticAMD\n", "AVX2", None, False),
+        ("vendor_id\t: GenuineIntel\n", "AVX512", None, False),
+        ("vendor_id\t: GenuineIntel\n", "AVX512", "AVX2", True),
+        ("vendor_id\t: GenuineIntel\n", "AVX2", "AVX2", False),
+        ("vendor_id\t: GenuineIntel\n", "AVX512", "AVX512_E1", False),
     ],
 )
 def test_without_the_switch_the_processor_decides(
-    about: str, instructions: str | None, slow: bool, monkeypatch: pytest.MonkeyPatch
+    about: str, capability: str, instructions: str | None, slow: bool, monkeypatch: pytest.MonkeyPatch
 ):
     decide = zoedepth.model.linear._processor_is_slow
     monkeypatch.delenv(SWITCH, raising=False)
     monkeypatch.setattr(Path, "read_text", lambda path, encoding: about)
     monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: True)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: capability)
     if instructions is None:
         monkeypatch.delenv("MKL_ENABLE_INSTRUCTIONS", raising=False)
     else:
