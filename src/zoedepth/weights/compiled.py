@@ -40,7 +40,7 @@ class CompiledGraphs:
         Args:
             shape: (batch, 3, height, width).
             std: with the standard deviation.
-            properties: what to compile with. Of them, only the precision decides which graph it is.
+            properties: options to compile with. Of them, only the precision decides which graph it is.
         """
         path = self._path(shape, std, properties)
         try:
@@ -71,7 +71,7 @@ class CompiledGraphs:
             compiled: the compiled graph.
             shape: see ``read``.
             std: see ``read``.
-            properties: what it was compiled with.
+            properties: options it was compiled with.
         """
         path = self._path(shape, std, properties)
         merging = {name: value for name, value in properties.items() if name == "SNIPPETS_MODE"}
