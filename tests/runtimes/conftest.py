@@ -19,9 +19,10 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def processor_with_bfloat16(monkeypatch: pytest.MonkeyPatch) -> None:
+def able_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     """A processor on which all rows can be measured, whichever runs the tests."""
     monkeypatch.setattr("zoedepth.runtimes.runtime.has_bfloat16", lambda: True)
+    monkeypatch.setattr("zoedepth.runtimes.runtime.adds_8_bits_exactly", lambda: True)
     monkeypatch.setattr("zoedepth.runtimes.benchmark.products", lambda machine: {"float32": 1.0, "bfloat16": 2.0})
 
 

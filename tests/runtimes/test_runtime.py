@@ -52,6 +52,13 @@ def test_bfloat16_that_openvino_would_not_compute_is_missing(machine: Machine, m
     assert RUNTIMES["OpenVINO, float32"].missing(machine) == ""
 
 
+def test_8_bits_that_the_processor_cuts_off_are_missing(machine: Machine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runtimes, "find_spec", lambda module: object())
+    monkeypatch.setattr(runtimes, "adds_8_bits_exactly", lambda: False)
+    assert "cuts off sums of 8 bits (no VNNI)" in RUNTIMES["OpenVINO, int8"].missing(machine)
+    assert RUNTIMES["OpenVINO, float32"].missing(machine) == ""
+
+
 def test_gpu_that_is_here_is_not_missing(machine: Machine) -> None:
     assert RUNTIMES["torch, float16, GPU"].missing(replace(machine, accelerator="H200")) == ""
 

@@ -3,6 +3,7 @@
 import copy
 import functools
 import json
+import logging
 import os
 import pickle
 import subprocess
@@ -30,6 +31,7 @@ from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
 from zoedepth.weights.exported import METADATA, OnnxModel, is_exported, load_exported
 from zoedepth.weights.load import load_model
+from zoedepth.weights.openvino_processor import has_bfloat16
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import INPUT
 
@@ -362,5 +364,48 @@ def test_bfloat16_is_said_where_it_is_computed(
 ) -> None:
     """OpenVINO takes no notice of the wish where the processor cannot do it."""
     monkeypatch.setattr(openvino.Core, "get_property", lambda core, device, name: capabilities)
-    model = load_exported(attractors_file(tmp_path / "model.xml", 2), precision="bfloat16")
+    has_bfloat16.cache_clear()
+    try:
+        model = load_exported(attractors_file(tmp_path / "model.xml", 2), precision="bfloat16")
+    finally:
+        has_bfloat16.cache_clear()
     assert model.precision == computed
+
+
+def rounded_file(path: Path) -> Path:
+    """A graph for OpenVINO that gives 96 * 127 times the photo's mean, rounded to 8 bits, for depth."""
+    pixels = operators.parameter([-1, 3, -1, -1], np.float32, name=INPUT)
+    pixels.output(0).set_names({INPUT})
+    low, high = np.float32(0), np.float32(1)
+    many = operators.concat([operators.fake_quantize(pixels, low, high, low, high, 256)] * 32, 1)
+    low, high = np.float32(-127), np.float32(127)
+    weights = operators.constant(np.full((64, 96, 1, 1), 127, np.float32))
+    signed = operators.fake_quantize(weights, low, high, low, high, 255)
+    layer = operators.convolution(many, signed, [1, 1], [0, 0], [0, 0], [1, 1])
+    depth = operators.reduce_mean(layer, np.array([1]))
+    depth.output(0).set_names({"predicted_depth"})
+    graph: Any = openvino.Model([depth], [pixels], "rounded")
+    graph.set_rt_info(SOUND, METADATA)
+    openvino.save_model(graph, path, compress_to_fp16=False)
+    return path
+
+
+def test_8_bits_are_added_exactly_on_every_processor(tmp_path: Path) -> None:
+    """Without VNNI, OpenVINO gives about half of these sums."""
+    model = load_exported(rounded_file(tmp_path / "model.xml"))
+    assert model.precision == "int8"
+    for size in (64, 96):  # the first shape, and any other
+        depth = model.run({INPUT: np.ones((1, 3, size, 64), np.float32)}, std=True)["predicted_depth"]
+        assert np.allclose(depth, 127 * 96, rtol=0.01)
+
+
+def test_8_bits_that_are_cut_off_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("zoedepth.weights.exported.adds_8_bits_exactly", lambda: False)
+    with caplog.at_level(logging.WARNING):
+        model = load_exported(rounded_file(tmp_path / "model.xml"))
+        load_exported(attractors_file(tmp_path / "float.xml", 2))
+    assert caplog.text.count("cuts off their sums (it has no VNNI)") == 1
+    depth = model.run({INPUT: np.ones((1, 3, 64, 64), np.float32)}, std=True)["predicted_depth"]
+    assert np.allclose(depth, 127 * 96, rtol=0.01)

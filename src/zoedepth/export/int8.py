@@ -16,6 +16,7 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.pixels import resize_pixels
 from zoedepth.sizes import network_size
 from zoedepth.weights.openvino_graph import make_products_unsigned
+from zoedepth.weights.openvino_processor import EXACT, adds_8_bits_exactly
 from zoedepth.weights.tensors import DOMAIN, INPUT
 
 TOLERANCE_INT8 = 0.01
@@ -94,7 +95,8 @@ def quantized(
 def _compiled(graph: Any) -> Any:
     import openvino
 
-    return openvino.Core().compile_model(graph, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    exact = {} if adds_8_bits_exactly() else EXACT
+    return openvino.Core().compile_model(graph, "CPU", {"INFERENCE_PRECISION_HINT": "f32", **exact})
 
 
 def _depths(compiled: Any, inputs: Sequence[dict[str, Any]]) -> list[np.ndarray]:

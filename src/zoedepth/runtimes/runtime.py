@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Literal
 
 from zoedepth.forward.answer import Precision
 from zoedepth.runtimes.machine import Machine
-from zoedepth.weights.exported import ExportedModel, has_bfloat16, load_exported
+from zoedepth.weights.exported import ExportedModel, load_exported
 from zoedepth.weights.load import load_network
+from zoedepth.weights.openvino_processor import adds_8_bits_exactly, has_bfloat16
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -67,6 +68,8 @@ class Runtime:
             return f"not installed: pip install 'zoedepth[{extra}]'"
         if self.library == "OpenVINO" and self.numbers == "bfloat16" and not has_bfloat16():
             return "this processor has no bfloat16, and OpenVINO would compute in float32"
+        if self.numbers == "int8" and not adds_8_bits_exactly():
+            return "this processor cuts off sums of 8 bits (no VNNI), and OpenVINO would compute in float32"
         return ""
 
     def load(

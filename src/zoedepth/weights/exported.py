@@ -1,5 +1,6 @@
 """Run exported files, which takes no torch: arrays in and out, for ``Predictor``; tensors for programs in torch."""
 
+import logging
 import math
 import os
 from abc import ABC, abstractmethod
@@ -19,6 +20,7 @@ from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count, wait_asleep
 from zoedepth.weights.compiled import CompiledGraphs
 from zoedepth.weights.openvino_graph import specialized
+from zoedepth.weights.openvino_processor import EXACT, adds_8_bits_exactly, has_bfloat16
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
 
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from zoedepth.model.interface import DepthOutput
+
+_log = logging.getLogger(__name__)
 
 METADATA = "zoedepth"
 """Key in the file's metadata of a JSON text with config, preprocessing and version."""
@@ -228,6 +232,13 @@ class OpenVinoModel(ExportedModel):
                 f"{path} cannot be read as OpenVINO: {str(error)[:300]}. Is its .bin file beside it?"
             ) from error
         quantized = any(node.get_type_name() == "FakeQuantize" for node in self.graph.get_ops())
+        if quantized and not adds_8_bits_exactly():
+            self.properties |= EXACT
+            _log.warning(
+                "%s computes in 8 bits, and this processor cuts off their sums (it has no VNNI): they are computed in "
+                "float32. The depth is the same; an export in float32 is as fast here",
+                path,
+            )
         # Where the processor has no bfloat16, OpenVINO takes no notice of the hint.
         computed = precision if precision == "float32" or has_bfloat16() else "float32"
         self.precision = "int8" if quantized else computed
@@ -283,17 +294,6 @@ class OpenVinoModel(ExportedModel):
 _NO_REGISTERS = "Can't allocate registers for a snippet"
 """Words of OpenVINO (2026.4) where it has merged more operations than a processor without AVX-512 has registers for: it
 does so with five attractors and more. Without merging it compiles them (docs/log.md)."""
-
-
-def has_bfloat16() -> bool:
-    """Return True if OpenVINO computes in bfloat16 on this processor, where it is told to.
-
-    Raises:
-        ModuleNotFoundError: OpenVINO is not installed.
-    """
-    import openvino
-
-    return "BF16" in openvino.Core().get_property("CPU", "OPTIMIZATION_CAPABILITIES")
 
 
 _SMALL = 100_000_000
