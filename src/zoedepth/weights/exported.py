@@ -236,7 +236,7 @@ class OpenVinoModel(ExportedModel):
             self.properties |= EXACT
             _log.warning(
                 "%s computes in 8 bits, and this processor cuts off their sums (it has no VNNI): they are computed in "
-                "float32. The depth is the same; an export in float32 is as fast here",
+                "float32. The depth is the same; an export in float32 is faster here",
                 path,
             )
         # Where the processor has no bfloat16, OpenVINO takes no notice of the hint.
