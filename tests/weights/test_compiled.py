@@ -13,7 +13,8 @@ import pytest
 from tests.weights.test_exported import attractors_file
 
 from zoedepth.weights import compiled
-from zoedepth.weights.exported import ExportedModel, load_exported
+from zoedepth.weights.exported import OpenVinoModel, load_exported
+from zoedepth.weights.openvino_processor import UNMERGED
 from zoedepth.weights.tensors import INPUT
 
 
@@ -36,18 +37,24 @@ def compiles(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return heights
 
 
-def depth(model: ExportedModel, height: int = 64, *, std: bool = False) -> np.ndarray:
+def loaded(path: Path, *, keep: Path | None, streams: int = 1) -> OpenVinoModel:
+    model = load_exported(path, keep=keep, streams=streams)
+    assert isinstance(model, OpenVinoModel)
+    return model
+
+
+def depth(model: OpenVinoModel, height: int = 64, *, std: bool = False) -> np.ndarray:
     pixels = np.random.default_rng(height).random((1, 3, height, 32), dtype=np.float32)
     return model.run({INPUT: pixels}, std=std)["predicted_depth"]
 
 
 def test_second_start_compiles_nothing(model: Path, tmp_path: Path, compiles: list[str]) -> None:
     keep = tmp_path / "kept"
-    first = depth(load_exported(model, keep=keep))
-    second = load_exported(model, keep=keep, streams=2)
+    first = depth(loaded(model, keep=keep))
+    second = loaded(model, keep=keep, streams=2)
     assert np.allclose(depth(second), first, rtol=1e-5)
     assert compiles == ["64"]
-    (graph,) = second.compiled.values()  # type: ignore[attr-defined]
+    (graph,) = second.compiled.values()
     assert graph.get_property("NUM_STREAMS") == 2
     assert np.allclose(depth(pickle.loads(pickle.dumps(second))), first, rtol=1e-5)
     assert compiles == ["64"]
@@ -56,7 +63,7 @@ def test_second_start_compiles_nothing(model: Path, tmp_path: Path, compiles: li
 def test_nothing_is_kept_unless_a_folder_is_given(model: Path, tmp_path: Path, compiles: list[str]) -> None:
     before = sorted(tmp_path.rglob("*"))
     for _ in range(2):
-        depth(load_exported(model))
+        depth(loaded(model, keep=None))
     assert compiles == ["64", "64"]
     assert sorted(tmp_path.rglob("*")) == before
 
@@ -65,11 +72,11 @@ def test_every_kind_of_graph_is_kept_by_itself(model: Path, tmp_path: Path, comp
     """Of a second shape, the graph for all shapes is compiled, which is not kept."""
     keep = tmp_path / "kept"
     for _ in range(2):
-        loaded = load_exported(model, keep=keep)
-        depth(loaded)
-        depth(loaded, std=True)
-        depth(loaded, 96)
-        depth(load_exported(model, keep=keep), 96)
+        first = loaded(model, keep=keep)
+        depth(first)
+        depth(first, std=True)
+        depth(first, 96)
+        depth(loaded(model, keep=keep), 96)
     assert len(list(keep.iterdir())) == 3
     assert compiles == ["64", "64", "?", "96", "?"]
 
@@ -77,14 +84,14 @@ def test_every_kind_of_graph_is_kept_by_itself(model: Path, tmp_path: Path, comp
 def test_those_used_last_are_kept(model: Path, tmp_path: Path, compiles: list[str]) -> None:
     keep, heights = tmp_path / "kept", [32, 64, 96]
     for place, height in enumerate(heights):
-        depth(load_exported(model, keep=keep), height)
+        depth(loaded(model, keep=keep), height)
         for file in keep.iterdir():  # the files are older than their times say, so that each use is later
             os.utime(file, (file.stat().st_atime, file.stat().st_mtime - 100 * (3 - place)))
-    depth(load_exported(model, keep=keep), 32)  # used again
-    depth(load_exported(model, keep=keep), 128)  # one too many
+    depth(loaded(model, keep=keep), 32)  # used again
+    depth(loaded(model, keep=keep), 128)  # one too many
     compiles.clear()
     for height in (32, 96, 128, 64):
-        depth(load_exported(model, keep=keep), height)
+        depth(loaded(model, keep=keep), height)
     assert compiles == ["64"]
     assert len(list(keep.iterdir())) == compiled.MOST
 
@@ -104,13 +111,13 @@ def test_damaged_file_is_made_again(
     damage: Callable[[bytes], bytes], model: Path, tmp_path: Path, compiles: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     keep = tmp_path / "kept"
-    first = depth(load_exported(model, keep=keep))
+    first = depth(loaded(model, keep=keep))
     (file,) = keep.iterdir()
     file.write_bytes(damage(file.read_bytes()))
     with caplog.at_level(logging.WARNING):
-        assert np.allclose(depth(load_exported(model, keep=keep)), first, rtol=1e-5)
+        assert np.allclose(depth(loaded(model, keep=keep)), first, rtol=1e-5)
     assert f"{file} cannot be used" in caplog.text
-    assert np.allclose(depth(load_exported(model, keep=keep)), first, rtol=1e-5)
+    assert np.allclose(depth(loaded(model, keep=keep)), first, rtol=1e-5)
     assert compiles == ["64", "64"]
 
 
@@ -118,13 +125,13 @@ def test_graph_that_openvino_does_not_take_is_compiled(
     model: Path, tmp_path: Path, compiles: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     keep = tmp_path / "kept"
-    first = depth(load_exported(model, keep=keep))
+    first = depth(loaded(model, keep=keep))
 
     def refuse(*args: object) -> Any:
         raise RuntimeError("the blob is of another version")
 
     monkeypatch.setattr(openvino.Core, "import_model", refuse)
-    assert np.allclose(depth(load_exported(model, keep=keep)), first, rtol=1e-5)
+    assert np.allclose(depth(loaded(model, keep=keep)), first, rtol=1e-5)
     assert compiles == ["64", "64"]
 
 
@@ -134,7 +141,7 @@ def test_folder_that_cannot_be_written_to_is_no_reason_to_stop(
     keep = tmp_path / "kept"
     keep.touch()  # a file where the folder would be
     with caplog.at_level(logging.WARNING):
-        assert depth(load_exported(model, keep=keep)).size
+        assert depth(loaded(model, keep=keep)).size
     assert "was not kept" in caplog.text
 
 
@@ -143,8 +150,8 @@ def test_graph_without_merging_is_read_without(
 ) -> None:
     """Read with merging, it would meet the same limit again."""
     keep = tmp_path / "kept"
-    first = load_exported(model, keep=keep)
-    first.properties["SNIPPETS_MODE"] = "DISABLE"  # type: ignore[attr-defined]
+    first = loaded(model, keep=keep)
+    first.properties |= UNMERGED
     expected = depth(first)
     import_model, seen = openvino.Core.import_model, list[str]()
 
@@ -153,5 +160,5 @@ def test_graph_without_merging_is_read_without(
         return import_model(core, tensor, device, properties)
 
     monkeypatch.setattr(openvino.Core, "import_model", note)
-    assert np.allclose(depth(load_exported(model, keep=keep)), expected, rtol=1e-5)
+    assert np.allclose(depth(loaded(model, keep=keep)), expected, rtol=1e-5)
     assert (seen, compiles) == (["DISABLE"], ["64"])

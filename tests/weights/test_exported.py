@@ -1,7 +1,6 @@
 """Exported files: those that run here, those that are refused, and small ones that would unpack to gigabytes."""
 
 import copy
-import functools
 import json
 import logging
 import os
@@ -295,27 +294,39 @@ def test_images_of_a_batch_are_computed_one_by_one_on_a_processor(monkeypatch: p
     assert not np.allclose(one_by_one.predicted_depth[:1], model.compute(pixels[:1], heads[1:2]).predicted_depth)
 
 
-def attractors_file(path: Path, n_attractors: int) -> Path:
-    """A graph for OpenVINO that moves 64 bin centers as the heads do, and gives their mean for depth."""
-    random = np.random.default_rng(0)
+def graph_file(path: Path, depth_of: Callable[[Any], Any]) -> Path:
+    """A file for OpenVINO whose depth is the mean over the channels of what a function makes of the pixels."""
     pixels = operators.parameter([-1, 3, -1, -1], np.float32, name=INPUT)
     pixels.output(0).set_names({INPUT})
-
-    def convolved(n_channels: int) -> Any:
-        kernel = random.standard_normal((n_channels, 3, 1, 1)).astype(np.float32)
-        return operators.softplus(operators.convolution(pixels, kernel, [1, 1], [0, 0], [0, 0], [1, 1]))
-
-    centers, pulls = convolved(64), []
-    for attractor in operators.split(convolved(n_attractors), 1, n_attractors).outputs():
-        distance = operators.subtract(attractor, centers)
-        strength = operators.multiply(operators.multiply(distance, distance), np.float32(300))
-        pulls.append(operators.divide(distance, operators.add(np.float32(1), strength)))
-    moved = operators.reduce_mean(functools.reduce(operators.add, pulls, centers), np.array([1]))
-    moved.output(0).set_names({"predicted_depth"})
-    graph: Any = openvino.Model([moved], [pixels], "attractors")
+    depth = operators.reduce_mean(depth_of(pixels), np.array([1]))
+    depth.output(0).set_names({"predicted_depth"})
+    graph: Any = openvino.Model([depth], [pixels], "graph")
     graph.set_rt_info(SOUND, METADATA)
     openvino.save_model(graph, path, compress_to_fp16=False)
     return path
+
+
+def convolved(x: Any, kernel: Any) -> Any:
+    return operators.convolution(x, kernel, [1, 1], [0, 0], [0, 0], [1, 1])
+
+
+def attractors_file(path: Path, n_attractors: int) -> Path:
+    """A graph that moves 64 bin centers as the heads do, and gives their mean for depth."""
+    random = np.random.default_rng(0)
+
+    def moved_centers(pixels: Any) -> Any:
+        centers, attractors = (
+            operators.softplus(convolved(pixels, random.standard_normal((n, 3, 1, 1)).astype(np.float32)))
+            for n in (64, n_attractors)
+        )
+        moved = centers
+        for attractor in operators.split(attractors, 1, n_attractors).outputs():
+            distance = operators.subtract(attractor, centers)
+            strength = operators.multiply(operators.multiply(distance, distance), np.float32(300))
+            moved = operators.add(moved, operators.divide(distance, operators.add(np.float32(1), strength)))
+        return moved
+
+    return graph_file(path, moved_centers)
 
 
 def test_attractors_are_compiled_on_every_processor(tmp_path: Path) -> None:
@@ -373,21 +384,14 @@ def test_bfloat16_is_said_where_it_is_computed(
 
 
 def rounded_file(path: Path) -> Path:
-    """A graph for OpenVINO that gives 96 * 127 times the photo's mean, rounded to 8 bits, for depth."""
-    pixels = operators.parameter([-1, 3, -1, -1], np.float32, name=INPUT)
-    pixels.output(0).set_names({INPUT})
-    low, high = np.float32(0), np.float32(1)
-    many = operators.concat([operators.fake_quantize(pixels, low, high, low, high, 256)] * 32, 1)
-    low, high = np.float32(-127), np.float32(127)
-    weights = operators.constant(np.full((64, 96, 1, 1), 127, np.float32))
-    signed = operators.fake_quantize(weights, low, high, low, high, 255)
-    layer = operators.convolution(many, signed, [1, 1], [0, 0], [0, 0], [1, 1])
-    depth = operators.reduce_mean(layer, np.array([1]))
-    depth.output(0).set_names({"predicted_depth"})
-    graph: Any = openvino.Model([depth], [pixels], "rounded")
-    graph.set_rt_info(SOUND, METADATA)
-    openvino.save_model(graph, path, compress_to_fp16=False)
-    return path
+    """A graph that gives 96 * 127 times the photo's mean, rounded to 8 bits, for depth."""
+
+    def sums(pixels: Any) -> Any:
+        many = operators.concat([operators.fake_quantize(pixels, *map(np.float32, (0, 1, 0, 1)), 256)] * 32, 1)
+        weights = operators.constant(np.full((64, 96, 1, 1), 127, np.float32))
+        return convolved(many, operators.fake_quantize(weights, *map(np.float32, (-127, 127, -127, 127)), 255))
+
+    return graph_file(path, sums)
 
 
 def test_8_bits_are_added_exactly_on_every_processor(tmp_path: Path) -> None:

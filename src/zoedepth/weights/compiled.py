@@ -15,6 +15,7 @@ import numpy as np
 
 from zoedepth.images import atomic_path
 from zoedepth.weights.fingerprint import fingerprint
+from zoedepth.weights.openvino_processor import UNMERGED
 
 MOST = 3
 """Number of files that are kept: those that were used last."""
@@ -74,7 +75,7 @@ class CompiledGraphs:
             properties: options it was compiled with.
         """
         path = self._path(shape, std, properties)
-        merging = {name: value for name, value in properties.items() if name == "SNIPPETS_MODE"}
+        merging = {name: value for name, value in properties.items() if name in UNMERGED}
         try:
             with atomic_path(path) as part, part.open("wb") as file:
                 content = compiled.export_model()

@@ -20,7 +20,7 @@ from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count, wait_asleep
 from zoedepth.weights.compiled import CompiledGraphs
 from zoedepth.weights.openvino_graph import specialized
-from zoedepth.weights.openvino_processor import EXACT, adds_8_bits_exactly, has_bfloat16
+from zoedepth.weights.openvino_processor import EXACT, UNMERGED, adds_8_bits_exactly, has_bfloat16
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import DOMAIN, INPUT, STD, Exported
 
@@ -283,7 +283,7 @@ class OpenVinoModel(ExportedModel):
                 if _NO_REGISTERS not in str(error):
                     raise
                 # It says so after all of its work: the next graph is compiled like this at once.
-                self.properties["SNIPPETS_MODE"] = "DISABLE"
+                self.properties |= UNMERGED
                 return self.core.compile_model(graph, "CPU", self.properties)
         except Exception as error:  # a RuntimeError of C++, mostly
             raise InputError(

@@ -46,3 +46,6 @@ def adds_8_bits_exactly() -> bool:
 
 EXACT: dict[str, str] = {"LP_TRANSFORMS_MODE": "OFF"}
 """Options with which OpenVINO rounds to 8 bits and multiplies in float32: exact on any processor, and no faster."""
+
+UNMERGED: dict[str, str] = {"SNIPPETS_MODE": "DISABLE"}
+"""Options with which OpenVINO merges no operations, and so needs no more registers than there are."""
