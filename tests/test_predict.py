@@ -406,6 +406,19 @@ def test_depth_is_corrected_where_the_camera_is_given_or_the_model_has_one_camer
         np.testing.assert_array_equal(result.depth, plain.depth)
 
 
+def test_each_domain_has_its_own_factor_on_the_standard_deviation() -> None:
+    model = Brightness(focal_px=FOCAL_PX)
+    model.config.domains = tuple(
+        replace(domain, std_factor=factor) for domain, factor in zip(model.config.domains, (1.5, 3.0), strict=True)
+    )
+    photo, camera = smooth((64, 96)), Camera.from_focal(2 * FOCAL_PX, (64, 96))
+    for domain, factor in (("indoor", 1.5), ("outdoor", 3.0)):
+        plain = Predictor(Brightness(), pad=False)(photo, domain=domain)
+        result = Predictor(model, pad=False, camera=camera)(photo, domain=domain)
+        np.testing.assert_allclose(result.depth, 2 * plain.depth, rtol=1e-6)
+        np.testing.assert_allclose(result.std, 2 * factor * plain.std, rtol=1e-6)
+
+
 @pytest.mark.parametrize("pad", [True, False])
 @pytest.mark.parametrize("size", [(128, 192), (97, 131), (200, 150), (24, 120)])
 def test_the_assumed_camera_is_that_of_the_training_photos(size: tuple[int, int], pad: bool) -> None:

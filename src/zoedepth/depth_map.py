@@ -41,8 +41,9 @@ class DepthMap:
     depth: DepthArray
     """Metres along the optical axis (z, not the length of the ray); finite and positive everywhere."""
     std: DepthArray | None
-    """Metres: standard deviation of the bin distribution, widened where the two mirrored predictions differ. None where
-    the model has no distribution: DORN, NeWCRFs, BTS and naive heads."""
+    """Metres: standard deviation of the bin distribution, widened where the two mirrored predictions differ, times what
+    was fitted to the model's errors (``Domain.std_factor``). None where the model has no distribution: DORN, NeWCRFs,
+    BTS and naive heads."""
     domain: str
     """Scene type whose head made this depth, e.g. "indoor"."""
     domain_probability: dict[str, float]

@@ -351,12 +351,12 @@ class Predictor:
         probability = {known.name: p for known, p in zip(domains, odds, strict=True)}
         # Bicubic interpolation overshoots at edges, in a near corner to below zero.
         near, far = np.float32(domain.min_depth), np.float32(domain.max_depth)
-        depth, std = answer.depth.clip(near, None), answer.std
+        depth = answer.depth.clip(near, None)
         factor = self._focal_factor(photo.camera, domain, photo.network_size)
         if factor != 1:
             near, far = near * np.float32(factor), far * np.float32(factor)
             depth = depth * np.float32(factor)
-            std = None if std is None else std * np.float32(factor)
+        std = None if answer.std is None else answer.std * np.float32(factor * domain.std_factor)
         return DepthMap(
             depth,
             std,

@@ -76,6 +76,7 @@ CHANGES: dict[type, dict[str, tuple[Any, dict[str, Any]]]] = {
         "min_depth": (2.0, NORMED),
         "max_depth": (20.0, NORMED),
         "focal_px": (100.0, {}),
+        "std_factor": (2.0, {}),
     },
     ModelConfig: {
         "encoder": (SWIN, {}),
@@ -139,8 +140,9 @@ def outputs(config: ModelConfig) -> dict[str, Any]:
         }
     found = Predictor(model.eval())(photo)
     scores = np.array([*found.domain_probability.values()])
-    lens = np.array([Predictor(model, flip_average=False)(photo, domain=config.domains[0].name).camera.fx])
-    return seen | {"photo": found.depth, "domain": sorted(found.domain_probability), "scores": scores, "lens": lens}
+    first = Predictor(model, flip_average=False)(photo, domain=config.domains[0].name)
+    seen |= {"std": first.std, "lens": np.array([first.camera.fx])}
+    return seen | {"photo": found.depth, "domain": sorted(found.domain_probability), "scores": scores}
 
 
 known_outputs = cache(outputs)
@@ -199,6 +201,12 @@ def test_no_change_is_listed_for_a_field_that_is_gone():
 def test_focal_length_is_a_number_of_pixels(focal_px: float):
     with pytest.raises(InputError, match=r"domain\.focal_px must be a finite number of pixels > 0"):
         replace(INDOOR, focal_px=focal_px)
+
+
+@pytest.mark.parametrize("std_factor", [0.0, -1.0, math.inf, math.nan])
+def test_factor_on_the_standard_deviation_is_a_number_above_0(std_factor: float):
+    with pytest.raises(InputError, match=r"domain\.std_factor must be a finite number > 0"):
+        replace(INDOOR, std_factor=std_factor)
 
 
 def test_same_network_in_another_camera(tiny_config: ModelConfig):

@@ -1,11 +1,13 @@
 """Whether doubts are in the order of the errors, and cover them: cases with a known answer."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 
-from zoedepth.evaluation.uncertainty import STEPS, UncertaintyScores, score_uncertainty
+from zoedepth.errors import InputError
+from zoedepth.evaluation.uncertainty import STEPS, UncertaintyScores, fit_std_factor, score_uncertainty
 
 RNG = np.random.default_rng(0)
 TRUTH = RNG.uniform(1, 9, size=4000)
@@ -120,3 +122,22 @@ def test_equal_doubts_are_taken_as_they_come(levels: int) -> None:
     one, other = ([float(np.mean(errors[start:])) for start in starts] for errors in (relative, worst))
     chance = np.mean(worst) - np.mean(other)
     assert found.ause == pytest.approx((np.mean(one) - np.mean(other)) / chance, rel=1e-9)
+
+
+def test_factor_makes_errors_as_large_as_the_deviation_says() -> None:
+    std = 0.2 * TRUTH
+    errors = [np.abs(RNG.normal(0, 3 * std)) / std for _ in range(5)]
+    factor = fit_std_factor(errors)
+    assert factor == pytest.approx(3, rel=0.03)
+    assert fit_std_factor([of_photo / factor for of_photo in errors]) == pytest.approx(1)
+    assert np.mean(np.concatenate(errors) <= factor) == pytest.approx(0.6827, abs=0.02)
+
+
+def test_each_photo_counts_the_same_for_the_factor() -> None:
+    assert fit_std_factor([np.full(1000, 1.0), np.full(10, 7.0)]) == pytest.approx(5)  # the root of (1 + 49) / 2
+
+
+@pytest.mark.parametrize("errors", [[], [np.array([0.0, 0.0])], [np.array([1.0, math.inf])]])
+def test_there_is_no_factor_without_errors_or_with_deviations_of_0(errors: list[np.ndarray]) -> None:
+    with pytest.raises(InputError, match="factor on the standard deviation"):
+        fit_std_factor(errors)

@@ -373,3 +373,5 @@ def test_model_in_one_camera_says_how_metres_come_about(tiny_model: ZoeDepth):
     assert "multiply it by the photo's focal length" in said["camera"]
     assert said["config"]["canonical_camera"]
     assert [domain["focal_px"] for domain in said["config"]["domains"]] == [80.0, 80.0]
+    assert "std_factor of the domain" in said["std"]
+    assert [domain["std_factor"] for domain in said["config"]["domains"]] == [1.0, 1.0]

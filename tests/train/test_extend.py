@@ -50,6 +50,12 @@ def test_heads_that_learn_get_the_focal_length_of_the_data(tiny_config):
     assert extended_config(config, {"indoor": 3.0}) == config
 
 
+def test_what_was_fitted_to_the_errors_of_the_old_weights_is_forgotten(tiny_config):
+    config = replace(tiny_config, domains=tuple(replace(each, std_factor=1.5) for each in tiny_config.domains))
+    assert extended_config(config, {"warehouse": 27.0, "indoor": 3.0}).domains[:2] == tiny_config.domains
+    assert extended_config(config, {"indoor": 3.0}) == tiny_config
+
+
 def test_a_domain_starts_from_the_head_of_its_name_or_of_the_nearest_range(tiny_config):
     assert origin_of(tiny_config, "indoor", 500.0) == INDOOR
     assert origin_of(tiny_config, "warehouse", 27.0) == OUTDOOR

@@ -108,11 +108,16 @@ class Domain:
     """Focal length (the vertical one) of the photos that the model learned this domain's metres from, in pixels of the
     photo as the network saw it, see ``zoedepth.sizes.network_focal``. None: not known. It belongs to the config's
     ``size``."""
+    std_factor: float = 1.0
+    """Factor on the standard deviation of the bins, fitted on photos that no training has seen, so that errors are as
+    large as it says (``scripts/fit_std.py``). ``Predictor`` applies it, the network does not. It belongs to the
+    weights. 1: as published, not fitted."""
 
     def __post_init__(self) -> None:
         require(bool(self.name), "domain.name", "a name of at least one letter", self.name)
         require(self.focal_px is None or 0 < self.focal_px < math.inf, "domain.focal_px",
                 "a finite number of pixels > 0, or None", self.focal_px)  # fmt: skip
+        require(0 < self.std_factor < math.inf, "domain.std_factor", "a finite number > 0", self.std_factor)
         if not 0 < self.min_depth < self.max_depth:
             raise InputError(
                 f"domain {self.name!r} has a min_depth of {self.min_depth} and a max_depth of {self.max_depth}. "

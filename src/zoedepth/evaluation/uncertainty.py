@@ -1,9 +1,13 @@
 """Score the model's own uncertainty: does its standard deviation go with its errors?"""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from zoedepth.errors import InputError
 
 STEPS = 20
 """Number of equal parts in which the pixels are removed for the area under the sparsification error."""
@@ -34,6 +38,28 @@ def score_uncertainty(
     chance = float(np.mean(relative.mean() - by_error))
     ause = float(np.mean(by_uncertainty - by_error)) / chance if chance > 0 else 0.0
     return UncertaintyScores(ause, float(np.mean(error <= std)), float(np.mean(error <= 2 * std)))
+
+
+def fit_std_factor(errors: Sequence[Float[np.ndarray, " _"]]) -> float:
+    """Return the factor on standard deviations that makes errors as large as they say: the root mean square.
+
+    It is the most likely one if errors were normal. Every photo counts the same.
+
+    Args:
+        errors: |depth - truth| / std of the scored pixels of each photo, of photos that no training has seen.
+
+    Raises:
+        InputError: there is no photo, or a standard deviation is 0.
+    """
+    if not errors:
+        raise InputError("a factor on the standard deviation needs photos with known depth; there are none")
+    factor = float(np.sqrt(np.mean([np.mean(np.square(of_photo, dtype=np.float64)) for of_photo in errors])))
+    if not 0 < factor < math.inf:
+        raise InputError(
+            f"the factor on the standard deviation would be {factor}: leave out photos where the deviation is 0, and "
+            "photos on which the model makes no error"
+        )
+    return factor
 
 
 def _decreasing(values: np.ndarray) -> np.ndarray:

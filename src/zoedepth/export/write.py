@@ -230,6 +230,7 @@ def metadata(model: DepthModel) -> str:
             "pad": "reflect by 3 sqrt(side / 2), cut off after" if config.pad else "none",
         },
         "postprocessing": "resize predicted_depth to the photo: bicubic; mean with the mirrored photo's, mirrored back",
+        "std": "of the bins, in metres like predicted_depth: multiply it by std_factor of the domain (config) too",
         "unit": "metre",
         "camera": _CANONICAL if config.canonical_camera else _ANY_CAMERA,
         "domains": [domain.name for domain in config.domains],

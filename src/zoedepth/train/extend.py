@@ -40,6 +40,8 @@ def extended_config(
 ) -> ModelConfig:
     """Return the config with a head for each domain of the data, reaching as far as the data does.
 
+    What was fitted to the errors of the old weights (``Domain.std_factor``) is 1 again.
+
     Args:
         config: the config of the model there is.
         far: domain of the data → its farthest depth in metres, as the head learns it.
@@ -53,6 +55,8 @@ def extended_config(
         if old is None or metres > old.max_depth:
             old = replace(old or Domain(name), max_depth=_round_up(metres))
         domains[name] = old if focal_px is None else replace(old, focal_px=focal_px.get(name))
+    # All heads look at maps that training changes, so what was fitted to their errors holds for none.
+    domains = {name: replace(domain, std_factor=1.0) for name, domain in domains.items()}
     return replace(config, domains=tuple(domains.values()))
 
 

@@ -254,15 +254,15 @@ def test_heads_of_other_names_keep_them(tmp_path: Path):
     assert load_model(tmp_path / "ours").config == model.config
 
 
-def test_focal_lengths_come_along_and_a_canonical_camera_is_refused(tmp_path: Path):
+def test_our_fields_of_domains_come_along_and_a_canonical_camera_is_refused(tmp_path: Path):
     twin(twin_config(heads=(NYU, KITTI))).save_pretrained(tmp_path / "theirs")
     checkpoint = read_checkpoint(tmp_path / "theirs")
     indoor, outdoor = checkpoint.config.domains
     assert checkpoint.config == in_training_cameras(checkpoint.config)
     assert indoor.focal_px is not None
-    own = replace(checkpoint.config, domains=(replace(indoor, focal_px=777.0), outdoor))
+    own = replace(checkpoint.config, domains=(replace(indoor, focal_px=777.0, std_factor=1.5), outdoor))
     write_checkpoint(checkpoint._replace(config=own), tmp_path / "own", to="huggingface")
-    assert [domain.focal_px for domain in load_model(tmp_path / "own").config.domains] == [777.0, outdoor.focal_px]
+    assert load_model(tmp_path / "own").config.domains == own.domains
     canonical = checkpoint._replace(config=replace(own, canonical_camera=True))
     with pytest.raises(InputError, match="canonical camera True"):
         write_checkpoint(canonical, tmp_path / "canonical", to="huggingface")

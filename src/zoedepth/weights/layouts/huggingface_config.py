@@ -59,16 +59,20 @@ def read(
         encoder=shapes.beit(weights, native=_native(backbone), taps=_taps(backbone)),
         attention_heads=attention_heads if isinstance(attention_heads, int) else 4,
     )
-    return _with_focal(_as_released(model, size=size), heads)
+    return _with_ours(_as_released(model, size=size), heads)
 
 
-def _with_focal(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
-    """Give the domains the focal lengths that config.json says; transformers has no such entry, but keeps ours."""
-    said = [
-        _number(entry, "focal_px", 0.0) or domain.focal_px for entry, domain in zip(heads, model.domains, strict=True)
+def _with_ours(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
+    """Give the domains the fields that config.json has of ours; transformers does not know them, but keeps them."""
+    domains = [
+        replace(
+            domain,
+            focal_px=_number(entry, "focal_px", 0.0) or domain.focal_px,
+            std_factor=_number(entry, "std_factor", domain.std_factor),
+        )
+        for entry, domain in zip(heads, model.domains, strict=True)
     ]
-    domains = zip(model.domains, said, strict=True)
-    return replace(model, domains=tuple(replace(domain, focal_px=focal_px) for domain, focal_px in domains))
+    return replace(model, domains=tuple(domains))
 
 
 def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
@@ -199,8 +203,9 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
                 "n_bins": head.n_bins,
                 "min_depth": domain.min_depth,
                 "max_depth": domain.max_depth,
-                # Not transformers': it is ours, where it is not that of the published models.
+                # Not transformers': they are ours, where they are not those of the published models.
                 **({} if domain.focal_px in (None, published.focal_px) else {"focal_px": domain.focal_px}),
+                **({} if domain.std_factor == 1 else {"std_factor": domain.std_factor}),
             }
             for domain, published in zip(config.domains, in_training_cameras(config).domains, strict=True)
         ],
