@@ -8,8 +8,8 @@ from tests.baselines.base import build as build_baseline
 
 import zoedepth
 from zoedepth.errors import InputError
-from zoedepth.presets import PRESETS
 from zoedepth.weights.exported import ExportedModel
+from zoedepth.weights.load import load_model
 from zoedepth.weights.pretrained import ZoeDepth
 from zoedepth.weights.save import save_model
 
@@ -19,7 +19,7 @@ def test_from_pretrained_loads_a_zoedepth(tiny_model: ZoeDepth, tmp_path: Path):
     model = zoedepth.ZoeDepth.from_pretrained(tmp_path / "model.safetensors")
     assert type(model) is ZoeDepth is zoedepth.ZoeDepth
     assert model.config == tiny_model.config
-    assert zoedepth.ZoeDepth.from_pretrained("zoed-lite").config == PRESETS["zoed-lite"]
+    assert zoedepth.ZoeDepth.from_pretrained("zoed-lite").config == load_model("zoed-lite").config
 
 
 def test_from_pretrained_refuses_a_baseline(tmp_path: Path):
