@@ -24,7 +24,7 @@ from zoedepth.config import (
     EncoderConfig,
     ModelConfig,
     RouterConfig,
-    without_camera,
+    network_alone,
 )
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
@@ -209,10 +209,10 @@ def test_factor_on_the_standard_deviation_is_a_number_above_0(std_factor: float)
         replace(INDOOR, std_factor=std_factor)
 
 
-def test_same_network_in_another_camera(tiny_config: ModelConfig):
-    domains = tuple(replace(each, focal_px=80.0) for each in tiny_config.domains)
-    assert without_camera(replace(tiny_config, domains=domains, canonical_camera=True)) == tiny_config
-    assert without_camera(replace(tiny_config, domains=domains[:1])) != tiny_config
+def test_same_network_in_another_camera_with_other_errors(tiny_config: ModelConfig):
+    domains = tuple(replace(each, focal_px=80.0, std_factor=1.5) for each in tiny_config.domains)
+    assert network_alone(replace(tiny_config, domains=domains, canonical_camera=True)) == tiny_config
+    assert network_alone(replace(tiny_config, domains=domains[:1])) != tiny_config
 
 
 @pytest.mark.parametrize(

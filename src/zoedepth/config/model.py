@@ -252,7 +252,7 @@ AnyModelConfig = ModelConfig | BaselineConfig
 """The config of any model in this package."""
 
 
-def without_camera(config: AnyModelConfig) -> AnyModelConfig:
-    """Return the config of the same network, which says nothing of the camera that its metres belong to."""
-    domains = tuple(replace(domain, focal_px=None) for domain in config.domains)
+def network_alone(config: AnyModelConfig) -> AnyModelConfig:
+    """Return the config of the same network, which says nothing of the camera of its metres, nor of its errors."""
+    domains = tuple(replace(domain, focal_px=None, std_factor=1.0) for domain in config.domains)
     return replace(config, domains=domains, canonical_camera=False)

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from zoedepth.config import AnyModelConfig, ModelConfig, without_camera
+from zoedepth.config import AnyModelConfig, ModelConfig, network_alone
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
@@ -68,8 +68,8 @@ def start_from(model: DepthModel, source: str | None) -> str:
 
 
 def _alike(one: AnyModelConfig, other: AnyModelConfig) -> bool:
-    """Return True if two configs are equal but for the camera and the size of the photos."""
-    return replace(without_camera(one), size=other.size) == without_camera(other)
+    """Return True if two configs are equal but for the photos' camera and size, and what was fitted to errors."""
+    return replace(network_alone(one), size=other.size) == network_alone(other)
 
 
 def _load_imagenet(model: DepthModel) -> None:
