@@ -41,6 +41,8 @@ def main(
         camera: as in `zoedepth evaluate`.
         dtype: type of the weights in the file.
     """
+    if out.exists():
+        raise InputError(f"{out} is there already: give --out another file")
     loaded = load_model(model)
     source = ModelSource(loaded, camera=camera)
     errors: dict[str, list[np.ndarray]] = defaultdict(list)

@@ -48,8 +48,7 @@ def test_where_the_file_system_knows_no_locks_a_file_stands_for_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unsupported(*_: object, **__: object) -> None:
-        # filelock's own error and words, from a file system without locks, which this machine has not.
-        raise NotImplementedError("FileSystem does not appear to support flock")
+        raise NotImplementedError("FileSystem does not appear to support flock")  # as filelock raises it, word for word
 
     monkeypatch.setattr(filelock.FileLock, "acquire", unsupported)
     manifest = tmp_path / "m.jsonl"

@@ -253,6 +253,6 @@ AnyModelConfig = ModelConfig | BaselineConfig
 
 
 def network_alone(config: AnyModelConfig) -> AnyModelConfig:
-    """Return the config of the same network, which says nothing of the camera of its metres, nor of its errors."""
+    """Return the config of the network alone: without cameras, and without what was fitted to its errors."""
     domains = tuple(replace(domain, focal_px=None, std_factor=1.0) for domain in config.domains)
     return replace(config, domains=domains, canonical_camera=False)

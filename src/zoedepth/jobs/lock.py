@@ -43,8 +43,7 @@ def only_one(manifest: Path) -> Iterator[None]:
     try:
         try:
             lock.acquire()
-        except NotImplementedError:
-            # filelock says so that the file system has no locks; it is no promise of ours. A file stands for the lock.
+        except NotImplementedError:  # filelock's error for a file system without locks: a file stands for the lock
             path = path.with_suffix(".held")
             holder = _holder(path)
             lock = SoftFileLock(path, timeout=0)
