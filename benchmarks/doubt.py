@@ -50,6 +50,8 @@ def main(*, data: tuple[str, ...], model: str = "zoed-lite", camera: Literal["da
                 rows.append(_measure(depth, std, truth))
                 some = np.linspace(0, len(depth) - 1, _KEPT).astype(int)
                 kept.append(np.stack([std[some] / depth[some], np.abs(depth - truth)[some] / truth[some]]))
+        if not rows:
+            raise InputError(f"{name}: no photo has a pixel of known depth that is scored; look at {path}")
         rel, half, surest, least, ause, one, two, ratio = np.mean(rows, axis=0)
         doubt, error = np.concatenate(kept, axis=1)
         whole = error[np.argsort(doubt)[: len(doubt) // 2]].mean() / error.mean() - 1

@@ -40,13 +40,30 @@ def test_table_has_ours_with_intervals_the_papers_beside_and_the_best_in_bold() 
     assert [row[:4] for row in found.rows] == [
         ("Naive head", "2", "0.300 ± 1.271", "0.096"), ("Attractors", "1", "0.100", "-"),
     ]  # fmt: skip
-    assert found.best == {(1, 2), (0, 4), (1, 4)}  # RMSE is the same
+    assert found.best == frozenset()  # of the attractors there is one seed only
     assert rows["Attractors"]["kitchen REL"] == "not run"
-    # (0.3 - 0.1) / 0.3 = 66.7 %, and of delta1 (0.6 - 0.5) / 0.5 = 20 %; RMSE is the same.
-    assert rows["Attractors"]["mRI_D %"] == "+66.7"
-    assert rows["Attractors"]["mRI_theta nyu %"] == f"+{(200 / 3 + 20) / 3:.1f}"
+    # With seed 3, (0.2 - 0.1) / 0.2 = 50 %, and of delta1 (0.6 - 0.5) / 0.5 = 20 %; RMSE is the same.
+    assert rows["Attractors"]["mRI_D %"] == "+50.0"
+    assert rows["Attractors"]["mRI_theta nyu %"] == f"+{(50 + 20) / 3:.1f}"
     assert rows["Naive head"]["mRI_theta nyu %"] == "+0.0"
     assert "95 % interval" in found.note
+
+
+def test_rows_are_compared_seed_by_seed() -> None:
+    naive, attractors = TABLE.rows
+    units = [unit(row, seed) for seed in (3, 4) for row in (naive, attractors)]
+    found = shown(TABLE, units, [result(0.2), result(0.1), result(0.4), result(0.4)])
+    cells = dict(zip(found.header, found.rows[1], strict=True))
+    # 50 % with seed 3 and 0 % with seed 4; of the means it would be (0.3 - 0.25) / 0.3 = 17 %.
+    gain = Interval.of([50 / 3, 0.0])
+    assert cells["mRI_theta nyu %"] == f"+{gain.mean:.1f} ± {gain.half:.1f}"
+    assert found.best == {(1, 2), (0, 4), (1, 4)}  # RMSE is the same
+
+
+def test_a_score_of_which_there_is_no_percentage_has_a_dash() -> None:
+    naive, attractors = TABLE.rows
+    found = shown(TABLE, [unit(naive, 3), unit(attractors, 3)], [result(0.0), result(0.1)])
+    assert [row[-1] for row in found.rows] == ["-", "-"]
 
 
 def test_what_has_not_run_or_not_converged_says_so() -> None:

@@ -1,13 +1,14 @@
 """Show a reproduction as the paper shows its tables: ours with intervals, the best in bold, the paper's beside."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, stdev
 
+from zoedepth.errors import InputError
 from zoedepth.evaluation.improvement import MRI_METRICS, mri_datasets, mri_metrics
 from zoedepth.evaluation.paper_numbers import ALL
-from zoedepth.evaluation.tables import NOT_RUN, ReportTable, mri_cell
+from zoedepth.evaluation.tables import NOT_RUN, ReportTable
 from zoedepth.metrics import HEADINGS, HIGHER_IS_BETTER
 from zoedepth.reproduction.run import FAILED, Result
 from zoedepth.reproduction.tables import Column, Row, Table
@@ -64,14 +65,14 @@ def shown(
         scale: full or small, for the title.
 
     Returns:
-        A row for each of the comparison. What has not run says so; so does a training that did not converge.
+        A row for each of the comparison. What has not run says so; so does a training that did not converge. The best
+        value of a column is that of the rows with the most seeds: one lucky seed is no result.
     """
     columns = [*table.columns, *((name, "rel") for name in datasets if name not in {data for data, _ in table.columns})]
     lines = _lines(units, results)
-    means = {name: _means(found) for name, found in lines.items()}
     # The small form of a table may have other rows: then its first is what the others are measured by.
     first = table.reference if table.reference in lines else units[0].row.name
-    reference = means[first]
+    reference = lines[first]
     names = list(dict.fromkeys(data for data, _ in columns))
     header = ["method", "seeds"]
     for data, metric in columns:
@@ -80,49 +81,63 @@ def shown(
     header += ["mRI_D %", "paper"] if over_all else []
     header += [f"mRI_theta {name} %" for name in names]
     rows: list[tuple[str, ...]] = []
-    values: list[dict[int, float]] = []
+    values: list[dict[int, Interval]] = []
     for unit in {unit.row.name: unit for unit in units}.values():
         row, found = unit.row, lines[unit.row.name]
-        cells, numbers = _numbers(table, row, columns, found)
-        mine = means[row.name]
+        cells, numbers = _numbers(table, row, columns, tuple(found.values()))
         if over_all:
-            cells += [_over_datasets(mine, reference, names), table.printed_mri(row, ALL) or "-"]
-        cells += [mri_cell(mri_metrics, mine.get(name), reference.get(name)) for name in names]
-        n = sum(result is not None for result in found)
+            compared = {name: (name, "rel") for name in names}
+            cells += [_improvement(mri_datasets, found, reference, compared), table.printed_mri(row, ALL) or "-"]
+        for name in names:
+            compared = {metric: (name, metric) for metric in MRI_METRICS}
+            cells.append(_improvement(mri_metrics, found, reference, compared))
+        n = sum(result is not None for result in found.values())
         rows.append((row.name, str(n) if n else NOT_RUN, *cells))
         values.append(numbers)
     best = {
-        (i, j)
+        (i, 2 + 2 * k)
         for k, (_, metric) in enumerate(columns)
-        if (j := 2 + 2 * k) and len(there := [each[j] for each in values if j in each]) > 1
-        for i, each in enumerate(values)
-        if j in each and each[j] == (max(there) if metric in HIGHER_IS_BETTER else min(there))
+        for i in _best([each.get(2 + 2 * k) for each in values], higher_is_better=metric in HIGHER_IS_BETTER)
     }
     return ReportTable(
         f"{table.title}, {scale}", tuple(header), tuple(rows), frozenset(best), _note(table, units, first)
     )
 
 
-def _lines(units: Sequence[Unit], results: Sequence[Result | None]) -> dict[str, list[Result | None]]:
-    found: dict[str, list[Result | None]] = {}
+_Seeds = Mapping[int, Result | None]
+"""Seed → the result of a row with it; None where it has not run."""
+
+
+def _lines(units: Sequence[Unit], results: Sequence[Result | None]) -> Mapping[str, _Seeds]:
+    found: dict[str, dict[int, Result | None]] = {}
     for unit, result in zip(units, results, strict=True):
-        found.setdefault(unit.row.name, []).append(result)
+        found.setdefault(unit.row.name, {})[unit.seed] = result
     return found
+
+
+def _best(column: Sequence[Interval | None], *, higher_is_better: bool) -> list[int]:
+    """Return the places of the best of those that have the most seeds; none where there is nothing to compare."""
+    most = max((each.n for each in column if each is not None), default=0)
+    there = {i: each.mean for i, each in enumerate(column) if each is not None and each.n == most}
+    if len(there) < 2:
+        return []
+    best = (max if higher_is_better else min)(there.values())
+    return [i for i, mean in there.items() if mean == best]
 
 
 def _numbers(
     table: Table, row: Row, columns: Sequence[Column], found: Sequence[Result | None]
-) -> tuple[list[str], dict[int, float]]:
-    """Return the cells of a row, ours and the paper's in turn, and the means by the number of their cell."""
+) -> tuple[list[str], dict[int, Interval]]:
+    """Return the cells of a row, ours and the paper's in turn, and what was measured by the number of its cell."""
     cells: list[str] = []
-    numbers: dict[int, float] = {}
+    numbers: dict[int, Interval] = {}
     for data, metric in columns:
         values = [v for result in found if (v := _value(result, data, metric)) is not None]
         if any(result is not None and result.failure for result in found):
             cells.append(FAILED)
         elif values:
             interval = Interval.of(values)
-            numbers[2 + len(cells)] = interval.mean
+            numbers[2 + len(cells)] = interval
             cells.append(str(interval))
         else:
             cells.append(NOT_RUN)
@@ -136,33 +151,54 @@ def _value(result: Result | None, data: str, metric: str) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
-def _means(found: Sequence[Result | None]) -> dict[str, dict[str, float]]:
-    """Return data set → metric → mean over the seeds; nothing where a training did not converge."""
-    if any(result is not None and result.failure for result in found):
-        return {}
-    names = {name for result in found if result is not None for name in result.scores}
-    means: dict[str, dict[str, float]] = {}
-    for name in names:
-        for metric in MRI_METRICS:
-            values = [v for result in found if (v := _value(result, name, metric)) is not None]
-            if values:
-                means.setdefault(name, {})[metric] = fmean(values)
-    return means
-
-
-def _over_datasets(
-    mine: Mapping[str, Mapping[str, float]], reference: Mapping[str, Mapping[str, float]], names: Sequence[str]
+def _improvement(
+    mri: Callable[[Mapping[str, float], Mapping[str, float]], float],
+    mine: _Seeds,
+    reference: _Seeds,
+    compared: Mapping[str, Column],
 ) -> str:
-    there = [name for name in names if "rel" in mine.get(name, {}) and "rel" in reference.get(name, {})]
-    rel, theirs = ({name: scores[name]["rel"] for name in there} for scores in (mine, reference))
-    return mri_cell(mri_datasets, rel, theirs)
+    """Write the improvement over the reference, percent: the mean over the seeds that both rows have, and its interval.
+
+    Rows are compared seed by seed: with one seed they start from one pre-training, and see the same photos in the same
+    order.
+
+    Args:
+        mri: ``mri_datasets`` or ``mri_metrics``.
+        mine: the results of the row.
+        reference: the results of the row to compare with.
+        compared: key of what ``mri`` takes → data set and metric.
+    """
+    ours, theirs = _scores(mine, compared), _scores(reference, compared)
+    gains: list[float] = []
+    for seed in ours.keys() & theirs.keys():
+        both = ours[seed].keys() & theirs[seed].keys()
+        if not both:
+            continue
+        try:
+            gains.append(mri(*({key: scores[seed][key] for key in both} for scores in (ours, theirs))))
+        except InputError:  # of a reference that is 0 there is no percentage, nor of a score that is not finite
+            return "-"
+    if not gains:
+        return NOT_RUN
+    gain = Interval.of(gains)
+    return f"{gain.mean:+.1f} ± {gain.half:.1f}" if gain.half else f"{gain.mean:+.1f}"
+
+
+def _scores(found: _Seeds, compared: Mapping[str, Column]) -> dict[int, dict[str, float]]:
+    """Return seed → key → score, as far as there are scores; nothing where a training did not converge."""
+    if any(result is not None and result.failure for result in found.values()):
+        return {}
+    return {
+        seed: {key: value for key, column in compared.items() if (value := _value(result, *column)) is not None}
+        for seed, result in found.items()
+    }
 
 
 def _note(table: Table, units: Sequence[Unit], reference: str) -> str:
     note = (
         f"The rows differ in {table.variable}. Ours: the mean over the seeds ± half of its 95 % interval (Student's "
-        f"t). paper: as printed there, at full size on its own data. mRI is relative to {reference}, by the "
-        "means: mRI_D over the data sets that were scored, mRI_theta over delta1, REL and RMSE."
+        f"t). paper: as printed there, at full size on its own data. mRI is relative to {reference}, seed by "
+        "seed where both have run: mRI_D over the data sets that were scored, mRI_theta over delta1, REL and RMSE."
     )
     missing = sorted({name for unit in units for name in unit.missing})
     return f"{note} Rows that need {', '.join(missing)} were not run: these data were not there." if missing else note
