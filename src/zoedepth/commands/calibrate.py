@@ -89,7 +89,8 @@ def calibrate(
         focal_correction: multiply depth by the photo's focal length over that of the training photos, before it is
             calibrated. "model" does so where the model was trained in one canonical camera, and where the camera is
             given by an option.
-        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
+        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze; 80m for KITTI's
+            checkpoints of baselines.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
         precision: bfloat16 is faster on hardware made for it.

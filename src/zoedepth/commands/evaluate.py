@@ -86,7 +86,8 @@ def evaluate(
             inverse.
         camera: data tells models the cameras that the data names (fx, fy, cx, cy), and corrects depth by the focal
             length. none tells them nothing.
-        compat: behaviours of the original code to take over: batch-vote, 10m.
+        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze; 80m for KITTI's
+            checkpoints of baselines.
         out: folder for scores (JSONL), tables (Markdown, HTML, LaTeX, JSON), pictures and plots.
         pictures: make the pictures and plots, too.
         compare: number of photos of each data set to show with all models side by side, as the paper's figures do:

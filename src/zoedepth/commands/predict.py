@@ -145,7 +145,8 @@ def predict(
             auto takes as many tiles as a photo is worth, 4x6 is 4 rows of 6. It takes longer by their number.
         relative: write relative depth instead (inverse depth without a unit): NAME_relative.png, the nearest is 65535.
             Models without a metric head (MiDaS) give nothing else. Models with one were not trained to keep it right.
-        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze.
+        compat: behaviours of the original code to take over: batch-vote, 10m, squeeze; 80m for KITTI's
+            checkpoints of baselines.
         png_scale: levels per metre of the PNG; without it 1000 (millimetres), or 256 for a depth map beyond 65.535 m.
         vmin: depth of the first colour in metres; without it, from each photo. Give vmin and vmax to compare previews.
         vmax: depth of the last colour in metres; without it, from each photo.
