@@ -20,11 +20,6 @@ def test_archives_of_many_pieces(tmp_path: Path, save) -> None:
     np.testing.assert_array_equal(read_depth(tmp_path / "depth.npz"), noise)
 
 
-def test_whole_numbers_in_an_array_are_metres_too(tmp_path: Path) -> None:
-    np.save(tmp_path / "depth.npy", np.array([[3, 0]], np.int64))
-    assert read_depth(tmp_path / "depth.npy").tolist() == [[3, 0]]
-
-
 def test_archive_without_depth_is_an_error_that_says_what_it_has(tmp_path: Path) -> None:
     for arrays, said in (({"metres": METRES}, "metres"), ({"arr_0": METRES, "arr_1": METRES}, "arr_0, arr_1")):
         np.savez(tmp_path / "depth.npz", **arrays)
@@ -68,6 +63,20 @@ def test_pgm_of_16_bits_has_the_values_as_they_are_stored(tmp_path: Path, header
     np.testing.assert_array_equal(read_depth(tmp_path / "a.pgm", scale=1000), levels / np.float32(1000))
     with pytest.raises(InputError, match=r"a\.pgm does not say its scale"):
         read_depth(tmp_path / "a.pgm")
+
+
+@pytest.mark.parametrize("header", ["P5\r\n3 2\r\n65535\r\n", "P5 3 2 65535\n# millimetres\n"])
+def test_pgm_whose_header_ends_with_more_than_one_blank_is_refused(tmp_path: Path, header: str) -> None:
+    levels = np.arange(6, dtype=">u2").reshape(2, 3)  # as text of Windows, and with a comment at the end
+    (tmp_path / "a.pgm").write_bytes(header.encode() + levels.tobytes())
+    with pytest.raises(InputError, match=r"a\.pgm is not a readable PGM.*more follows its pixels"):
+        read_pgm(tmp_path / "a.pgm")
+
+
+def test_pgm_of_several_maps_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.pgm").write_bytes(2 * (b"P5 40 50 65535\n" + bytes(4000)))  # the second beyond what is read first
+    with pytest.raises(InputError, match=r"a\.pgm.*it holds several maps"):
+        read_pgm(tmp_path / "a.pgm")
 
 
 def test_pgm_of_8_bits(tmp_path: Path) -> None:

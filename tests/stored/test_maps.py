@@ -38,13 +38,26 @@ def test_is_offered_by_the_package() -> None:
 def test_arrays_are_metres(tmp_path: Path, dtype: str, suffix: str) -> None:
     path = tmp_path / f"depth.{suffix}"
     np.save(path, METRES.astype(dtype)) if suffix == "npy" else np.savez_compressed(path, depth=METRES, other=1)
-    found = read_depth(path, scale=1000)  # is for pictures of whole numbers
+    found = read_depth(path)
     assert found.dtype == np.float32
     np.testing.assert_array_equal(found, METRES)
+    np.testing.assert_allclose(read_depth(path, scale=1000), METRES / 1000, rtol=1e-6)
 
 
-def test_floats_in_a_tiff_are_metres(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read_depth(picture(tmp_path / "depth.tiff", METRES)), METRES)
+def test_floats_in_a_tiff_are_metres_where_nobody_says_their_scale(tmp_path: Path) -> None:
+    path = picture(tmp_path / "depth.tiff", METRES * 1000)
+    np.testing.assert_array_equal(read_depth(path), METRES * 1000)
+    np.testing.assert_allclose(read_depth(path, scale=1000), METRES, rtol=1e-6)
+
+
+def test_whole_numbers_need_a_scale_in_arrays_too(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", np.array([[500, 0, 65535]], np.uint16))
+    np.testing.assert_allclose(read_depth(tmp_path / "depth.npy", scale=1000), [[0.5, 0, 65.535]], rtol=1e-6)
+    with pytest.raises(InputError, match=r"depth\.npy does not say its scale: pass scale=1000"):
+        read_depth(tmp_path / "depth.npy")
+    np.save(tmp_path / "grey.npy", np.array([[50, 255]], np.uint8))
+    with pytest.raises(InputError, match=r"grey\.npy is not a depth map: it has 8 bits a pixel"):
+        read_depth(tmp_path / "grey.npy", scale=1000)
 
 
 def test_levels_of_a_picture_are_divided_by_the_scale(tmp_path: Path) -> None:

@@ -98,6 +98,11 @@ def _parse_pgm(file: IO[bytes]) -> np.ndarray:
     dtype = np.dtype(np.uint8 if greatest < 256 else np.uint16)
     check_map((height, width), dtype)
     content = _read_exactly(file, dtype.itemsize * width * height, begun=start[found.end() :])
+    if file.read(1) or len(start) - found.end() > len(content):
+        raise ValueError(
+            "more follows its pixels: it holds several maps, or its header ends with more than the one blank that the "
+            "format has there, so that every value would be a wrong one"
+        )
     return np.frombuffer(content, dtype.newbyteorder(">")).reshape(height, width).astype(dtype)
 
 

@@ -20,7 +20,8 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
     """Read the depth of an OpenEXR file: its only channel, or the one that is named so.
 
     Of several channels in all parts it is the one whose last part is Z, V or Depth, as Blender's ``ViewLayer.Depth.Z``.
-    Normals, mist and the like, whose last part may be Z, are none. R, G and B that are equal are one channel.
+    Normals, mist and the like, whose last part may be Z, are none, also where there is nothing else in the file; V is
+    none in a layer that is not called depth. R, G and B that are equal are one channel.
 
     Raises:
         InputError: the file is missing, damaged or too large; it has several channels, and which one is depth cannot be
@@ -52,8 +53,8 @@ def _name(part: str, channel: str) -> str:
 
 def _choose(channels: dict[str, Map]) -> str:
     """Return the name of the channel of depth."""
-    if len(channels) == 1:
-        return next(iter(channels))
+    if len(channels) == 1 and not _is_another(only := next(iter(channels))):
+        return only
     found = [name for name in channels if _may_be_depth(name, channels)]
     named = [name for name in found if "depth" in name.lower()]
     if len(named or found) == 1:
@@ -72,7 +73,15 @@ def _choose(channels: dict[str, Map]) -> str:
 def _may_be_depth(name: str, channels: dict[str, Map]) -> bool:
     layer, _, last = name.lower().rpartition(".")
     beside = {other.lower().rpartition(".")[2] for other in channels if other.lower().rpartition(".")[0] == layer}
-    return last in _DEPTH and not beside & _SIBLINGS and not any(word in layer for word in _OTHER_LAYERS)
+    if _is_another(name) or beside & _SIBLINGS:
+        return False
+    return last in _DEPTH and (last != "v" or not layer or "depth" in layer)  # V: of any layer, as roughness
+
+
+def _is_another(name: str) -> bool:
+    """Return True where the name of a channel's layer says that it is something else than depth."""
+    layer = name.lower().rpartition(".")[0]
+    return any(word in layer for word in _OTHER_LAYERS)
 
 
 def _check_window(header: dict[str, Any]) -> None:

@@ -57,29 +57,29 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
     """Read a depth map: float32 (height, width) in metres, 0 where there is no depth.
 
     Args:
-        path: a PNG, TIFF or PGM of one channel; an .npy, an .npz with an array ``depth``, an .exr or a .pfm, in metres.
-        scale: stored value of one metre in a PNG, TIFF or PGM, for example 1000 for millimetres. None takes the number
-            that ``write_depth`` left in the PNG.
+        path: a PNG, TIFF or PGM of one channel; an .npy, an .npz with an array ``depth``, an .exr or a .pfm.
+        scale: stored value of one metre, for example 1000 for millimetres. None takes the number that ``write_depth``
+            left in the PNG, and floating point for metres.
 
     Raises:
         InputError: the file is missing, damaged or too large, has another format, is not one channel of 16 bits or
-            more, or nobody says its scale.
+            more, or has whole numbers and nobody says their scale.
         MissingExtraError: an .exr, and OpenEXR is not installed.
     """
     path = Path(path)
     stored = read_stored(path)
     if stored.relative:
         raise InputError(f"{path} holds relative depth, which has no metres. Predict depth with a model of metres")
-    if path.suffix.lower() not in (*_PICTURES, ".pgm") or stored.values.dtype.kind == "f":
-        with np.errstate(over="ignore"):  # float64 beyond float32 is as unknown as infinity
-            depth = stored.values.astype(np.float32)
-        return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
     if stored.values.dtype.itemsize < 2:
         raise InputError(f"{path} is not a depth map: it has 8 bits a pixel. Give a PNG of one channel of 16 bits")
     scale = scale or stored.scale
-    if scale is None:
+    if scale is None and stored.values.dtype.kind != "f":
         raise InputError(f"{path} does not say its scale: pass scale=1000 for millimetres, or scale=256 for KITTI's")
-    return np.divide(stored.values, np.float32(scale), dtype=np.float32)
+    with np.errstate(over="ignore"):  # float64 beyond float32 is as unknown as infinity
+        depth = stored.values.astype(np.float32)
+        if scale is not None:
+            depth /= np.float32(scale)
+    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
 
 
 def read_stored(file: Path | Memory) -> StoredMap:
