@@ -186,3 +186,12 @@ class TestPlacesToMeasure:
         valid[20:30, 30:40] = True
         for x, y in places_to_measure(depth, valid):
             assert valid[y, x]
+
+
+@pytest.mark.parametrize("share", [0.03, 0.9])
+def test_holes_that_are_stored_as_the_largest_number_are_no_readings(share: float) -> None:
+    generator = np.random.default_rng(0)
+    depth = generator.uniform(1, 5, SIZE).astype(np.float32)
+    sparse = np.where(generator.random(SIZE) < share, 65.535, 1.2 * depth)
+    with pytest.raises(InputError, match=r"largest value, 65\.535 m, .* it stands for unknown\. Write 0 there"):
+        calibrate(depth, sparse)

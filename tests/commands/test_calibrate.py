@@ -124,6 +124,31 @@ class TestReadings:
         scales = [read_calibration(tmp_path / name).scale for name in ("own.json", "bare.json")]
         assert scales == pytest.approx([2, 2], rel=0.02)
 
+    def test_of_a_smaller_map_as_phones_lidars_have_it(self, photo: Path, depth: DepthMap, tmp_path: Path) -> None:
+        small = 2 * depth.depth[5::10, 5::10]
+        write_depth_png(tmp_path / "lidar.png", small)
+        assert calibrate(photo, "--depth", tmp_path / "lidar.png", "--out", tmp_path / "a.json") == 0
+        assert read_calibration(tmp_path / "a.json").scale == pytest.approx(2, rel=0.05)
+
+    def test_of_whole_numbers_of_millimetres_in_an_array(self, photo: Path, depth: DepthMap, tmp_path: Path) -> None:
+        np.save(tmp_path / "map.npy", (2000 * depth.depth).astype(np.uint16))
+        assert calibrate(photo, "--depth", tmp_path / "map.npy") == 2
+        options = ["--depth", tmp_path / "map.npy", "--depth-scale", 1000, "--out", tmp_path / "a.json"]
+        assert calibrate(photo, *options) == 0
+        assert read_calibration(tmp_path / "a.json").scale == pytest.approx(2, rel=0.02)
+
+    def test_of_a_map_that_may_lie_upside_down(
+        self, photo: Path, depth: DepthMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        turned = tmp_path / "turned.jpg"
+        with Image.open(photo) as picture:
+            exif = picture.getexif()
+            exif[0x0112] = 3
+            picture.save(turned, exif=exif)
+        np.save(tmp_path / "map.npy", depth.depth)
+        assert calibrate(turned, "--depth", tmp_path / "map.npy") == 2
+        assert "turned upright by its EXIF orientation 3, and nothing says whether" in capsys.readouterr().err
+
     def test_between_two_points(self, photo: Path, depth: DepthMap, tmp_path: Path) -> None:
         metres = 3 * depth.measure((100, 100), (500, 300))
         assert calibrate(photo, f"--between=100,100,500,300={metres}", "--out", tmp_path / "a.json") == 0

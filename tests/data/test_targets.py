@@ -18,6 +18,8 @@ LEVELS = np.array([[0, 500, 1000], [2000, 1, 65535]], np.uint16)
 def make(values: np.ndarray | None, scale: float | None = None, **options) -> Sample:
     options = {"kind": "depth", "facts": Facts(domain="indoor"), "name": "a", "files": ("a.jpg", "a.png"), **options}
     photo = options.pop("photo", PHOTO)
+    if isinstance(mask := options.get("mask"), np.ndarray):
+        options["mask"] = StoredMap(mask)
     return to_sample(photo, None if values is None else StoredMap(values, scale), **options)
 
 
@@ -143,6 +145,13 @@ def test_photo_that_exif_turns_by_90_degrees_shows_how_the_map_lies() -> None:
     square = np.zeros((2, 2, 3), np.uint8)
     with pytest.raises(InputError, match="EXIF orientation 6, and nothing says"):
         make(LEVELS[:, :2], facts=Facts(1000), photo=square, orientation=6)
+
+
+def test_mask_that_its_own_exif_turns_must_lie_as_the_photo_does() -> None:
+    mask = StoredMap(np.ones((2, 3), bool), orientation=3)
+    with pytest.raises(InputError, match=r"the mask of a\.png is turned upright by its EXIF orientation 3"):
+        make(LEVELS, 1000, mask=mask)
+    assert make(LEVELS, 1000, mask=mask, orientation=3).mask.any()
 
 
 def test_map_that_its_own_exif_turns_must_lie_as_the_photo_does() -> None:

@@ -132,7 +132,7 @@ def test_text_of_a_png(tmp_path: Path) -> None:
 
 def test_mask_may_have_one_bit_and_a_map_may_not(tmp_path: Path) -> None:
     path = picture(tmp_path / "mask.png", np.array([[True, False]]))
-    assert read_mask(path).tolist() == [[True, False]]
+    assert read_mask(path).values.tolist() == [[True, False]]
     with pytest.raises(InputError, match=r"mask\.png.*mode '1'"):
         read_png(path)
 

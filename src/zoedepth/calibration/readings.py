@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from zoedepth.data.plausible import find_mark, glance
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.points import known_depth
@@ -203,7 +204,14 @@ def _of_map(
     sparse: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "height width"]
 ) -> list[tuple[tuple[tuple[float, float], ...], float]]:
     """Return the readings of a sparse depth map, spread evenly over it where they are many."""
-    rows, columns = np.nonzero(known_depth(sparse) & known)
+    measured = known_depth(sparse)
+    mark = find_mark([glance("", "", sparse[measured])])
+    if mark is not None and mark.certain:
+        raise InputError(
+            f"{mark.share:.1%} of the sparse depth map hold its largest value, {mark.value:.6g} m, and nearly all "
+            f"others are nearer than {mark.others:.4g} m: it stands for unknown. Write 0 there"
+        )
+    rows, columns = np.nonzero(measured & known)
     if not len(rows):
         raise InputError("the sparse depth map has no reading at a pixel with valid depth: is it of this photo?")
     kept = slice(None, None, -(-len(rows) // MAX_USED))

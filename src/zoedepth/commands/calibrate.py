@@ -12,10 +12,11 @@ from rich.table import Table
 
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
-from zoedepth.stored import read_depth, readable, to_json
+from zoedepth.stored import read_depth, read_stored, readable, to_json
 
 if TYPE_CHECKING:
     from zoedepth.calibration import Calibration, Distance, Point, Reading
+    from zoedepth.images import DepthArray
 
 EXIT_FAILED = 1
 
@@ -65,7 +66,8 @@ def calibrate(
         at: column and row of a pixel, and the metres measured there: 320,240=2.35. The top left pixel is 0,0.
         between: two pixels, and the metres between the things that they see: 10,20,300,20=1.2. It needs a known camera:
             as wrong as its field of view is, as wrong is the scale.
-        depth: a sparse depth map of the photo's size, e.g. of a lidar; 0 where nothing was measured.
+        depth: a sparse depth map, e.g. of a lidar; 0 where nothing was measured. It has the photo's size, or is smaller
+            by one factor both ways.
         depth_scale: stored value of one metre in it, 1000 for millimetres or 256 for KITTI's, where it does not say so.
         along_ray: readings of --at and --depth are from the lens to the thing, as a tape measure or a laser gives them,
             and not along the optical axis. In the middle of a photo it is the same.
@@ -109,7 +111,7 @@ def calibrate(
         raise InputError("--depth-scale is for --depth: leave it out")
     if add and out is None:
         raise InputError("--add adds to the readings that a file has: name it by --out")
-    sparse = None if depth is None else read_depth(depth, scale=depth_scale)
+    sparse = None if depth is None else _read_sparse(depth, photo, scale=depth_scale)
 
     from zoedepth.calibration import calibrate as fit
     from zoedepth.calibration import check_replaceable, places_to_measure, read_calibration, write_calibration
@@ -179,6 +181,19 @@ def calibrate(
     else:
         _show(found, photo, form=form, out=out)
     return 0
+
+
+def _read_sparse(path: Path, photo: Path, *, scale: float | None) -> "DepthArray":
+    """Read a sparse depth map, metres, and put its values where they lie in the photo; 0 where nothing was measured."""
+    from zoedepth.data.fit import check_lies_alike, spread
+    from zoedepth.images import read_image_with_orientation
+
+    image, orientation = read_image_with_orientation(photo)
+    size, stored = image.shape[:2], read_stored(path)
+    # A depth map that says its scale is of this package, which predicts the upright photo.
+    own = orientation if stored.scale is not None else stored.orientation
+    check_lies_alike(size, stored.values.shape, names=(photo, path), orientation=orientation, own=own)
+    return spread(read_depth(path, scale=scale), size)
 
 
 def _point(text: str) -> "Point":

@@ -66,6 +66,29 @@ def check_fit(size: Size, found: Size, *, names: tuple[object, object], orientat
     )
 
 
+def check_lies_alike(size: Size, found: Size, *, names: tuple[object, object], orientation: int, own: int) -> None:
+    """Check that a map fits its photo, and that both are turned alike.
+
+    Args:
+        size: (height, width) of the photo when it stands upright.
+        found: (height, width) of the map, turned by the orientation that its file says.
+        names: the photo and the map, for the message.
+        orientation: the EXIF orientation by which the photo was turned.
+        own: the one by which the map was turned.
+
+    Raises:
+        InputError: the sizes do not fit (see ``check_fit``), or one is turned, and nothing says whether the other is.
+    """
+    check_fit(size, found, names=names, orientation=orientation)
+    if own != orientation and not (says_how_it_lies(size, orientation) and says_how_it_lies(size, own)):
+        turned, other = names if orientation != 1 else reversed(names)
+        number = orientation if orientation != 1 else own
+        raise InputError(
+            f"{turned} is turned upright by its EXIF orientation {number}, and nothing says whether {other} is, too. "
+            f"Save {turned} without the orientation, so that both lie alike"
+        )
+
+
 def spread(values: np.ndarray, size: Size) -> np.ndarray:
     """Put the values of a smaller map where they are in the photo; between them are zeros.
 

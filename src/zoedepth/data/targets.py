@@ -2,10 +2,10 @@
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32
 
 from zoedepth.data.facts import Facts
-from zoedepth.data.fit import check_fit, says_how_it_lies, spread
+from zoedepth.data.fit import check_lies_alike, spread
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.images import ImageArray
@@ -19,7 +19,7 @@ def to_sample(
     kind: Target,
     facts: Facts,
     default_scale: float | None = None,
-    mask: Bool[np.ndarray, "height width"] | None = None,
+    mask: StoredMap | None = None,
     mask_decides: bool = False,
     orientation: int = 1,
     name: str,
@@ -38,7 +38,7 @@ def to_sample(
         kind: "depth" or "disparity".
         facts: the facts about this photo.
         default_scale: the stored value of one metre for files of whole numbers of which nobody says it.
-        mask: False where the target is not valid; of the size of the photo or of the map.
+        mask: what ``read_mask`` returns, False where the target is not valid; of the size of the photo or of the map.
         mask_decides: disparity that is not positive is known, too, where the mask (if there is one) says so.
         orientation: the EXIF orientation by which the photo was turned upright; see ``zoedepth.data.fit``.
         name: the name of the sample.
@@ -52,18 +52,19 @@ def to_sample(
     if stored is not None:
         # A depth map that says its scale is of this package, which predicts the upright photo.
         own = orientation if stored.scale is not None else stored.orientation
-        _check(size, stored.values, files, orientation, own=own)
+        check_lies_alike(size, stored.values.shape, names=files, orientation=orientation, own=own)
         if kind == "depth" and stored.relative:
             raise InputError(
                 f"{files[1]} holds relative depth, which has no metres. Give a map of depth, or train stage 1 "
                 "on it as disparity"
             )
     if mask is not None:
-        _check(size, mask, (files[0], f"the mask of {files[1]}"), orientation)
-        if stored is not None and mask.shape not in (size, stored.values.shape):
+        names = (files[0], f"the mask of {files[1]}")
+        check_lies_alike(size, mask.values.shape, names=names, orientation=orientation, own=mask.orientation)
+        if stored is not None and mask.values.shape not in (size, stored.values.shape):
             raise InputError(
-                f"the mask of {files[1]} is {mask.shape} (height, width): it must have the size of the photo, {size}, "
-                f"or of the map, {stored.values.shape}"
+                f"the mask of {files[1]} is {mask.values.shape} (height, width): it must have the size of the photo, "
+                f"{size}, or of the map, {stored.values.shape}"
             )
     target = np.zeros(size, np.float32)
     if stored is not None:
@@ -82,7 +83,7 @@ def to_sample(
         known &= target > 0
     target, known = spread(target, size), spread(known, size)
     if mask is not None:
-        known &= spread(mask, size)
+        known &= spread(mask.values, size)
     return Sample(
         image=torch.tensor(photo).permute(2, 0, 1).float() / 255,
         target=torch.from_numpy(np.where(known, target, np.float32(0)))[None],
@@ -92,20 +93,6 @@ def to_sample(
         name=name,
         camera=facts.camera,
     )
-
-
-def _check(
-    size: tuple[int, int], found: np.ndarray, names: tuple[object, object], orientation: int, *, own: int = 1
-) -> None:
-    """Check that a map fits its photo, and lies as the photo does; ``own`` is the orientation of its file."""
-    check_fit(size, found.shape, names=names, orientation=orientation)
-    if own != orientation and not (says_how_it_lies(size, orientation) and says_how_it_lies(size, own)):
-        turned, other = names if orientation != 1 else reversed(names)
-        number = orientation if orientation != 1 else own
-        raise InputError(
-            f"{turned} is turned upright by its EXIF orientation {number}, and nothing says whether {other} is, too. "
-            f"Save {turned} without the orientation, so that both lie alike"
-        )
 
 
 def _divided(values: np.ndarray, scale: float | None, name: object) -> Float32[np.ndarray, "height width"]:

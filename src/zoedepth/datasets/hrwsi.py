@@ -39,7 +39,7 @@ train/valid_masks/<name>.png
 
     def read_target(self, pair: PairFiles) -> tuple[np.ndarray, np.ndarray]:
         assert pair.target is not None
-        disparity, known = read_png(pair.target).astype(np.float32), read_mask(pair.masks[0])
+        disparity, known = read_png(pair.target).astype(np.float32), read_mask(pair.masks[0]).values
         if known.shape != disparity.shape:
             raise InputError(
                 f"{pair.masks[0]} is {known.shape} and {pair.target} is {disparity.shape}: sizes must agree"

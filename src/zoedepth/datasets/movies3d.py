@@ -72,7 +72,7 @@ sky/exodus/chapter2/out00000005.png                       (optional, not 0 is sk
         for path in pair.masks[:1]:
             known = _fitting(read_png(path) <= _MAX_UNCERTAINTY, path, stored.shape)
         for path in pair.masks[1:]:
-            sky = read_mask(path)
+            sky = read_mask(path).values
             if sky.shape == (2 * stored.shape[0], 2 * stored.shape[1]):
                 sky = sky[::2, ::2]
             sky = _fitting(sky, path, stored.shape)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, UInt16
+from jaxtyping import UInt16
 from PIL import Image
 
 from zoedepth.claims import check_claims
@@ -117,13 +117,14 @@ def declared_scale(path: Path) -> float | None:
         return None
 
 
-def read_mask(file: Path | Memory) -> Bool[np.ndarray, "height width"]:
-    """Return True where a PNG of one channel, of 1 to 16 bits, is not zero.
+def read_mask(file: Path | Memory) -> StoredMap:
+    """Read a mask: True where a PNG of one channel, of 1 to 16 bits, is not zero.
 
     Raises:
         InputError: the file is missing, damaged or too large, or has more than one channel.
     """
-    return _read_picture(file, "PNG", one_bit=True).values != 0
+    stored = _read_picture(file, "PNG", one_bit=True)
+    return stored._replace(values=stored.values != 0)
 
 
 def read_png(path: Path) -> Map:
