@@ -188,6 +188,20 @@ class TestFindPhotos:
         found = find_photos([str(tmp_path)], tmp_path / "out")
         assert found.failures == [f"{tmp_path / 'day1'}: the link leads nowhere: is the disk there?"]
 
+    def test_a_link_in_a_glob_that_leads_nowhere_is_tried(self, tmp_path: Path) -> None:
+        (tmp_path / "a.jpg").symlink_to("/mnt/not/there.jpg")
+        (tmp_path / "b.jpg").mkdir()
+        for source in (str(tmp_path), str(tmp_path / "*.jpg")):
+            found = find_photos([source], tmp_path / "out")
+            assert [photo.path.name for photo in found.photos] == ["a.jpg"]
+
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
+    def test_pipes_are_left_out(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "a.jpg")
+        for source in (str(tmp_path), str(tmp_path / "*.jpg")):
+            found = find_photos([source], tmp_path / "out")
+            assert (found.photos, dict(found.left_out)) == ([], {"pipes and devices, which are no files": 1})
+
     def test_what_other_programs_keep_is_left_out_of_folders_and_globs(self, tmp_path: Path) -> None:
         for name in ("a.jpg", "@eaDir/a.jpg/SYNOPHOTO_THUMB_XL.jpg", "b/#recycle/c.jpg", "b/._d.jpg"):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -75,6 +75,17 @@ class TestReadImage:
         image = read_image(saved(Image.fromarray(levels), tmp_path / f"photo{suffix}"))
         np.testing.assert_array_equal(image[0, :, 0], [0, 0, 1, 1, 128, 255])
 
+    @pytest.mark.parametrize("orientation", [1, 6])
+    def test_tiff_of_16_bits_whose_0_is_white_is_turned_round(self, tmp_path: Path, orientation: int) -> None:
+        levels = np.arange(6, dtype=np.uint16).reshape(2, 3) * 10_000
+        for photometric, wanted in ((1, levels), (0, 65535 - levels)):
+            path = tmp_path / f"{photometric}.tif"
+            Image.fromarray(levels).save(path, tiffinfo={262: photometric, 274: orientation})
+            found = read_image(path)[..., 0]
+            np.testing.assert_array_equal(
+                found, (wanted / 257).round() if orientation == 1 else np.rot90((wanted / 257).round(), -1)
+            )
+
     def test_float_tiff(self, tmp_path: Path) -> None:
         levels = np.array([[0, 0.5, 1]], np.float32)
         image = read_image(saved(Image.fromarray(levels), tmp_path / "photo.tif"))

@@ -691,8 +691,8 @@ def _no_photo(file: Path, suffix: str) -> str | None:
     """
     if (suffix in IMAGE_SUFFIXES or suffix in _OTHER_PICTURES) and is_own_file(file):
         return "written by zoedepth"
-    if suffix in IMAGE_SUFFIXES:
-        return None
+    if suffix in IMAGE_SUFFIXES:  # whoever opened a pipe would wait for ever
+        return None if file.is_file() or not file.exists() else "pipes and devices, which are no files"
     return left_out(suffix) if suffix or not file.is_symlink() or file.exists() else None
 
 
@@ -725,7 +725,7 @@ def _matching(pattern: str, root: Path, listing: Listing) -> Iterator[list[Path]
         for file in files:
             if service := service_folder(file.relative_to(root).parent):
                 listing.left_out[f"in {service}, where another program keeps its files"] += 1
-            elif file.is_file():
+            elif not file.is_dir():
                 kept.append(file)
         yield kept
 

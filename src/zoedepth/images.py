@@ -65,6 +65,7 @@ _BAND = 1 << 18  # pixels that are converted at once
 _TILE_WIDTH_TAG, _TILE_HEIGHT_TAG, _MAX_TILE = 322, 323, 4096 * 4096
 # EXIF orientation -> the transposition that turns the picture upright (EXIF 2.3, tag 0x0112).
 _ORIENTATION_TAG, _SOFTWARE_TAG = 0x0112, 0x0131
+_PHOTOMETRIC_TAG = 262  # of a TIFF: 0 where 0 is white
 _UPRIGHT = {
     2: Image.Transpose.FLIP_LEFT_RIGHT,
     3: Image.Transpose.ROTATE_180,
@@ -257,7 +258,10 @@ def _open(
             if decode:
                 _warn_of_more(picture, name, panorama=panorama)
                 deep = any(";16" in str(tile[3]) for tile in getattr(picture, "tile", ()))
+                white_is_0 = getattr(picture, "tag_v2", {}).get(_PHOTOMETRIC_TAG) == 0
                 picture, orientation = load_upright(picture)
+                if photo and white_is_0 and picture.mode.startswith("I;16"):  # of 8 bits Pillow turns it round
+                    picture = Image.fromarray(PNG_MAX - np.asarray(picture, np.uint16))
                 if photo and deep:
                     _warn_if_colours_are_dim(picture, name)
     except InputError:

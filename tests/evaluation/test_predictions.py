@@ -570,6 +570,8 @@ def test_file_of_another_size_cannot_be_cropped(tmp_path: Path) -> None:
 def test_file_that_lies_on_its_side_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"60 x 40, and photo\.jpg 40 x 60 .*turn one"):
         predict(file_of(tmp_path, np.ones((60, 40))), photo((40, 60)), PLAIN)
+    with pytest.raises(InputError, match=r"32 x 24, and photo\.jpg 48 x 64 .*turn one"):
+        predict(file_of(tmp_path, np.ones((32, 24))), photo((48, 64)), PLAIN)
     assert predict(file_of(tmp_path, np.ones((40, 40))), photo((40, 40)), PLAIN)[0].depth.shape == (40, 40)
 
 

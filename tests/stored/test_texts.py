@@ -16,6 +16,14 @@ def test_numbers(tmp_path: Path) -> None:
         read_numbers(tmp_path / "camera.txt")
 
 
+def test_byte_order_mark_is_no_part_of_a_text(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes("500 510 320 240".encode("utf-8-sig"))  # as Notepad writes it
+    assert read_text(tmp_path / "a.txt") == "500 510 320 240"
+    assert read_numbers(tmp_path / "a.txt") == [500, 510, 320, 240]
+    (tmp_path / "a.json").write_bytes('{"fx": 500}'.encode("utf-8-sig"))
+    assert read_json(tmp_path / "a.json") == {"fx": 500}
+
+
 def test_text(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("käse", encoding="utf-8")
     assert read_text(tmp_path / "a.txt", max_bytes=5) == "käse"

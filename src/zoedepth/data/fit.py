@@ -66,6 +66,15 @@ def check_fit(size: Size, found: Size, *, names: tuple[object, object], orientat
     )
 
 
+def lies_across(size: Size, found: Size) -> bool:
+    """Return True if one of two sizes (height, width) is clearly upright and the other lies on its side.
+
+    It is for maps that may be of another size, and squeezed.
+    """
+    (height, width), (h, w) = size, found
+    return (height - width) * (h - w) < 0 and not 0.8 < height * w / (width * h) < 1.25
+
+
 def check_lies_alike(size: Size, found: Size, *, names: tuple[object, object], orientation: int, own: int) -> None:
     """Check that a map fits its photo, and that both are turned alike.
 

@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float32
 from torch.utils.data import Dataset
 
-from zoedepth.data.fit import says_how_it_lies
+from zoedepth.data.fit import lies_across, says_how_it_lies
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
@@ -167,7 +167,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         camera = self.read_camera(pair, size)
         pixels = torch.tensor(photo).permute(2, 0, 1).float() / 255
         if target.shape != size:
-            if _lies_across(size, target.shape):
+            if lies_across(size, target.shape):
                 raise InputError(
                     f"{pair.image} is {size} and {pair.target} is {target.shape} (height, width): one of them lies on "
                     "its side, perhaps because EXIF turns the photo. Get the original files"
@@ -239,9 +239,3 @@ class PublishedDataset(Dataset[Sample], ABC):
         """Return an error message: what is wrong, what the folder should look like, and where to get the data."""
         layout = "\n".join(f"    {line}" for line in self.about.layout.strip().splitlines())
         return f"{self.about.title}: {problem}. Expected:\n{layout}\nGet it at {self.about.page}"
-
-
-def _lies_across(photo: tuple[int, int], target: tuple[int, ...]) -> bool:
-    """Return True if one of two sizes (height, width) is clearly upright and the other lies on its side."""
-    (height, width), (h, w) = photo, target
-    return (height - width) * (h - w) < 0 and not 0.8 < height * w / (width * h) < 1.25

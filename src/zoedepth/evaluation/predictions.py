@@ -15,6 +15,7 @@ from jaxtyping import Float
 from zoedepth.batch import share_cores
 from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
+from zoedepth.data.fit import lies_across
 from zoedepth.data.names import Finder
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.download import Progress
@@ -475,7 +476,7 @@ def predict(source: PredictionSource, sample: Sample, protocol: Protocol) -> tup
     if found.file is None:
         return found, shown
     whole, cropped = tuple(sample.target.shape[1:]), tuple(shown.target.shape[1:])
-    if found.depth.shape[::-1] == whole != found.depth.shape:
+    if found.depth.shape[::-1] == whole != found.depth.shape or lies_across(whole, found.depth.shape):
         raise InputError(
             f"{found.file} is {_size(found.depth.shape)}, and {sample.name} {_size(whole)} (height x width): turn one"
         )

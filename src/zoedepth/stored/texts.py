@@ -17,13 +17,13 @@ _MAX_NUMBER = 1e38  # what float32 holds
 
 
 def read_text(path: Path, *, max_bytes: int = MAX_TEXT) -> str:
-    """Read a text file in UTF-8.
+    """Read a text file in UTF-8, with or without a byte order mark.
 
     Raises:
         InputError: it cannot be read, is not text, or is longer than ``max_bytes``.
     """
     try:
-        return _read_small(path, max_bytes).decode("utf-8")
+        return _read_small(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(f"{path} is not a text in UTF-8 ({error})") from error
 
