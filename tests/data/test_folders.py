@@ -85,9 +85,9 @@ def test_floats_need_no_unit(tmp_path: Path) -> None:
     photo(tmp_path / "rgb" / "0.jpg")
     (tmp_path / "depth").mkdir()
     np.save(tmp_path / "depth" / "0.npy", np.array([[1.5, 80]]))
-    say(tmp_path, '{"domain": "indoor", "fx": 5, "fy": 6, "cx": 7, "cy": 8}')
+    say(tmp_path, '{"domain": "indoor", "fx": 5, "fy": 6, "cx": 1, "cy": 0.25}')
     sample = PairDataset(tmp_path)[0]
-    assert (sample.target[0].tolist(), sample.camera) == ([[1.5, 80]], Intrinsics(5, 6, 7, 8))
+    assert (sample.target[0].tolist(), sample.camera) == ([[1.5, 80]], Intrinsics(5, 6, 1, 0.25))
 
 
 @pytest.mark.parametrize(

@@ -30,16 +30,24 @@ def jsonl(folder: Path, *rows: object) -> Path:
 
 class TestJsonLines:
     def test_same_keys_as_a_csv(self, folder: Path):
-        sample = PairDataset(jsonl(folder, {**GOOD, "fx": 5, "fy": 6.5, "cx": 0, "cy": -1, "note": ["left alone"]}))[0]
+        sample = PairDataset(jsonl(folder, {**GOOD, "fx": 5, "fy": 6.5, "cx": 1, "cy": -0.5, "note": ["left alone"]}))[
+            0
+        ]
         assert sample.target[0].tolist() == [[0.5, 2]]
         assert (sample.kind, sample.domain, sample.name) == ("depth", "indoor", "photo.jpg")
-        assert sample.camera == Intrinsics(5, 6.5, 0, -1)
+        assert sample.camera == Intrinsics(5, 6.5, 1, -0.5)
 
     def test_keys_of_metric3d(self, folder: Path):
-        row = {"rgb": "photo.jpg", "depth": "depth.png", "depth_scale": 500, "cam_in": [5, 6, 7, 8], "domain": "indoor"}
+        row = {
+            "rgb": "photo.jpg",
+            "depth": "depth.png",
+            "depth_scale": 500,
+            "cam_in": [5, 6, 1, 0.25],
+            "domain": "indoor",
+        }
         sample = PairDataset(jsonl(folder, row))[0]
         assert sample.target[0].tolist() == [[1, 4]]
-        assert sample.camera == Intrinsics(5, 6, 7, 8)
+        assert sample.camera == Intrinsics(5, 6, 1, 0.25)
 
     def test_folder_stands_for_the_list_of_its_split(self, folder: Path):
         jsonl(folder, GOOD, GOOD)
@@ -112,8 +120,8 @@ class TestBTS:
         dataset = PairDataset(path, depth_scale=1000, domain="indoor")
         cameras = [dataset[i].camera for i in range(3)]
         assert cameras == [Intrinsics(1.5, 1.5, 0.5, 0.0), None, None]
-        (folder / "dataset.json").write_text('{"cam_in": [1, 2, 3, 4]}')
-        assert PairDataset(path, depth_scale=1000, domain="indoor")[0].camera == Intrinsics(1, 2, 3, 4)
+        (folder / "dataset.json").write_text('{"cam_in": [1, 2, 1.5, 0.5]}')
+        assert PairDataset(path, depth_scale=1000, domain="indoor")[0].camera == Intrinsics(1, 2, 1.5, 0.5)
 
     def test_unit_and_domain_may_stand_beside_it(self, folder: Path):
         (folder / "dataset.json").write_text('{"depth_scale": 500, "domain": "hall"}')

@@ -24,7 +24,7 @@ def make(values: np.ndarray | None, scale: float | None = None, **options) -> Sa
 
 
 def test_sample_has_photo_facts_and_name() -> None:
-    camera = Intrinsics(5, 6, 7, 8)
+    camera = Intrinsics(5, 6, 2, 1)
     sample = make(LEVELS, 1000, facts=Facts(None, "attic", camera))
     assert (sample.kind, sample.domain, sample.name, sample.camera) == ("depth", "attic", "a", camera)
     np.testing.assert_array_equal((sample.image * 255).round().permute(1, 2, 0), PHOTO)
@@ -145,6 +145,20 @@ def test_photo_that_exif_turns_by_90_degrees_shows_how_the_map_lies() -> None:
     square = np.zeros((2, 2, 3), np.uint8)
     with pytest.raises(InputError, match="EXIF orientation 6, and nothing says"):
         make(LEVELS[:, :2], facts=Facts(1000), photo=square, orientation=6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "word"),
+    [
+        (Intrinsics(5, 5, 3, 1), "looks through a point outside of the photo, so it is that of another size"),
+        (Intrinsics(5, 5, 1, -0.6), "outside of the photo"),
+        (Intrinsics(0.1, 5, 1, 1), "it would see 172 degrees"),
+        (Intrinsics(5000, 5000, 1, 1), "it would see 0.03"),
+    ],
+)
+def test_camera_of_another_photo_is_an_error(camera: Intrinsics, word: str) -> None:
+    with pytest.raises(InputError, match=rf"a\.jpg is 3 x 2 pixels, and its camera has fx, fy, cx, cy = .*{word}"):
+        make(LEVELS, 1000, facts=Facts(camera=camera))
 
 
 def test_mask_that_its_own_exif_turns_must_lie_as_the_photo_does() -> None:

@@ -57,7 +57,7 @@ class TestThereAndBack:
         assert (dataset.kinds, dataset.domains) == (["disparity"], [""])
 
     def test_samples_that_are_in_no_files(self, tmp_path: Path):
-        camera = Intrinsics(500.5, 501, 0.25, -3)
+        camera = Intrinsics(50.5, 51, 0.25, -0.375)
         samples = [
             sample([[0.1, 0, 70.7]], camera=camera),  # not whole numbers of anything
             sample([[1.5, 0.25, 0]], domain="outdoor"),  # halves and quarters: exact in 16 bits of float

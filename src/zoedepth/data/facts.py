@@ -13,7 +13,8 @@ from zoedepth.stored import read_json
 DEFAULTS_FILE = "dataset.json"
 """Name of the file beside the data that says what holds for all of it."""
 
-_MIN_FOV, _MAX_FOV = 5.0, 140.0  # degrees
+_MIN_FOV, _MAX_FOV = 5.0, 140.0  # degrees of a lens, of which a focal length alone is said
+_POSSIBLE_FOV = (1.0, 170.0)  # degrees
 
 _CAMERA = ("fx", "fy", "cx", "cy")
 
@@ -93,6 +94,33 @@ def camera_of_photo(known: Intrinsics | Lens | None, size: tuple[int, int]) -> I
         return known
     camera = known.camera(size)
     return camera.intrinsics if _MIN_FOV <= max(camera.fov_x, camera.fov_y) <= _MAX_FOV else None
+
+
+def check_camera(camera: Intrinsics, size: tuple[int, int], name: object) -> None:
+    """Refuse the camera of another photo, or of this one at another size: metres would be as wrong as its focal length.
+
+    Args:
+        camera: the camera that stands beside a photo.
+        size: (height, width) of the photo.
+        name: the photo, for the message.
+
+    Raises:
+        InputError: the principal point is outside of the photo, or the camera would see less than 1 or more than 170
+            degrees along the longer side.
+    """
+    height, width = size
+    half = 0.5  # of a pixel: the middle of the first one is 0
+    told = f"{name} is {width} x {height} pixels, and its camera has fx, fy, cx, cy = " + ", ".join(
+        f"{value:g}" for value in (camera.fx, camera.fy, camera.cx, camera.cy)
+    )
+    advice = "Give the camera of the photo at this size, or leave it out"
+    if not (-half <= camera.cx <= width - half and -half <= camera.cy <= height - half):
+        raise InputError(
+            f"{told}: it looks through a point outside of the photo, so it is that of another size. {advice}"
+        )
+    fov = max(2 * math.degrees(math.atan2(side / 2, f)) for side, f in ((width, camera.fx), (height, camera.fy)))
+    if not _POSSIBLE_FOV[0] <= fov <= _POSSIBLE_FOV[1]:
+        raise InputError(f"{told}: it would see {fov:.3g} degrees. In pixels of which size are these? {advice}")
 
 
 def read_defaults(folder: Path) -> Facts:

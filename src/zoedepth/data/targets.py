@@ -4,7 +4,7 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 
-from zoedepth.data.facts import Facts
+from zoedepth.data.facts import Facts, check_camera
 from zoedepth.data.fit import check_lies_alike, spread
 from zoedepth.data.sample import Sample, Target
 from zoedepth.errors import InputError
@@ -45,10 +45,12 @@ def to_sample(
         files: names of the photo and of the target for messages.
 
     Raises:
-        InputError: sizes do not fit, nothing says whether the map was turned with the photo, nobody says the unit, or
-            depth has 8 bits a pixel.
+        InputError: the camera cannot be that of the photo, sizes do not fit, nothing says whether the map was turned
+            with the photo, nobody says the unit, or depth has 8 bits a pixel.
     """
     size = photo.shape[0], photo.shape[1]
+    if facts.camera is not None:
+        check_camera(facts.camera, size, files[0])
     if stored is not None:
         # A depth map that says its scale is of this package, which predicts the upright photo.
         own = orientation if stored.scale is not None else stored.orientation
