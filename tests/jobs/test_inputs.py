@@ -1,7 +1,10 @@
 """Inputs: found in folders, lists, archives and stores, one after the other, each once, each at its place."""
 
 import io
+import os
+import sys
 import tarfile
+import unicodedata
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -149,6 +152,34 @@ class TestLists:
         with pytest.raises(InputError, match=message):
             found(tmp_path / "a.csv", column=column)
 
+    def test_names_are_found_however_they_are_written(self, tmp_path: Path) -> None:
+        accent = "caf\u00e9.png"  # as a Mac writes it into lists; its disk and archives have e and an accent
+        for name in (unicodedata.normalize("NFD", accent), "a.png"):
+            write_photo(tmp_path / "day 1" / name)
+        (tmp_path / "list.txt").write_text(f"day 1/{accent}\nday 1\\a.png\nC:\\a.png\n", encoding="utf-8")
+        sources = Sources((str(tmp_path / "list.txt"),))
+        assert all(each.path.is_file() for each in sources.inputs())
+        assert list(sources.found.unreadable) == ["C:\\a.png"]
+        assert "is a path of a Windows system" in sources.found.failures[0]
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="Windows and macOS keep names as Unicode")
+    def test_one_name_that_is_not_utf8_does_not_lose_the_others(self, tmp_path: Path) -> None:
+        odd = os.fsdecode(b"caf\xe9.png")
+        for name in (odd, "a.png"):
+            write_photo(tmp_path / name)
+        (tmp_path / "list.txt").write_bytes(b"a.png\ncaf\xe9.png\n")  # as find > list.txt writes it
+        assert set(found(tmp_path / "list.txt")) == {str(tmp_path / name) for name in (odd, "a.png")}
+
+    @pytest.mark.parametrize("encoding", ["utf-16", "utf-8-sig", "utf-8"])
+    def test_lists_as_spreadsheets_and_shells_write_them(self, tmp_path: Path, encoding: str) -> None:
+        write_photo(tmp_path / "a, b.png")
+        rows = ["sep=;", "Note;Image", "1;a, b.png"]
+        (tmp_path / "a.csv").write_text("\r\n".join(rows), encoding=encoding, newline="")
+        (tmp_path / "a.txt").write_text("a, b.png\r\n", encoding=encoding, newline="")
+        expected = {str(tmp_path / "a, b.png"): "a, b"}
+        assert found(tmp_path / "a.csv") == found(tmp_path / "a.csv", column="Image") == expected
+        assert found(tmp_path / "a.txt") == expected
+
     def test_a_list_that_is_no_text_is_told(self, tmp_path: Path) -> None:
         (tmp_path / "a.txt").write_bytes(b"\xff\xfe\x00")
         sources = Sources((str(tmp_path / "a.txt"),))
@@ -206,6 +237,31 @@ class TestArchives:
         assert n_whole <= len(list(sources.inputs())) < 4
         assert "cannot be read to its end" in sources.found.failures[0]
         assert run(archive, out=tmp_path / "out")[1].done == n_whole
+
+    @pytest.mark.parametrize("ending", ["gz", "bz2", "xz"])
+    def test_headers_of_a_small_archive_do_not_fill_the_memory(self, tmp_path: Path, ending: str) -> None:
+        info = tarfile.TarInfo("a.png")
+        info.pax_headers = {"comment": " " * (1 << 24)}
+        with tarfile.open(tmp_path / f"a.tar.{ending}", f"w:{ending}", format=tarfile.PAX_FORMAT) as archive:
+            archive.addfile(info)
+        sources = Sources((str(tmp_path / f"a.tar.{ending}"),))
+        assert list(sources.inputs()) == []
+        assert "a header is too long" in sources.found.failures[0]
+
+    def test_members_of_a_small_archive_do_not_fill_the_memory(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(listing, "MAX_HELD", 5000)
+        files = {f"{i}.png": bytes(2000) for i in range(9)}
+        for path, n_first in (
+            (write_tar(tmp_path / "a.tgz", files, "w:gz"), 3),
+            (write_tar(tmp_path / "a.tar", files), 9),
+        ):
+            inputs = Sources((str(path),)).inputs()
+            first, all_known = listing.begin(inputs, 64)
+            assert (len(first), all_known) == (n_first, n_first == 9)
+            assert len(first) + len(list(inputs)) == 9
+        assert listing.begin(iter(first), 9) == (first, False)
 
 
 class TestStores:

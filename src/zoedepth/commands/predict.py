@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from io import BytesIO
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -175,7 +175,7 @@ def predict(
     from zoedepth.calibration import read_calibration
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.streams import STREAM, standard_streams
-    from zoedepth.jobs.inputs import Sources
+    from zoedepth.jobs.inputs import Sources, begin
     from zoedepth.jobs.origins import is_address
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.shard import JobShard
@@ -223,7 +223,7 @@ def predict(
     with standard_streams(sources, Path(out), kinds=wanted.names, json_=json_) as (sources, folder):
         listing = Sources(tuple(sources), column, part, out if stored else "")
         inputs = listing.inputs()
-        first = list(islice(inputs, _FIRST))
+        first, all_known = begin(inputs, _FIRST)
         if json_:
             for path, reason in listing.found.unreadable.items():
                 _print_json(path, error=reason)
@@ -256,7 +256,7 @@ def predict(
         place = job_place(out if stored else folder, part, kept=not streamed)
         if not stored:
             check_writable(folder, option="--out")
-        if len(first) < _FIRST:
+        if all_known:
             _refuse_files_of_others(first, place.destination, wanted)
 
         from zoedepth.jobs.run import Tally, run_job, writing
@@ -292,7 +292,7 @@ def predict(
             if domain is not None:
                 predictor.domain_index(domain)
             settings = job_settings(wanted, predictor, weights=network_fingerprint(network))
-            tally = Tally(total=len(first) if len(first) < _FIRST else None)
+            tally = Tally(total=len(first) if all_known else None)
             with place.opened() as manifest:
                 with writing(manifest):
                     manifest.begin(settings, named=listing.named, overwrite=overwrite)

@@ -4,20 +4,27 @@ Nothing is listed ahead: an input is there as soon as the folder that it lies in
 with their number. Only the names of the one folder that is at work are held.
 """
 
+import bz2
+import codecs
 import csv
 import glob
+import gzip
 import io
+import lzma
 import os
 import posixpath
+import re
 import tarfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import IO, Any, BinaryIO, cast
 
 from zoedepth.batch import Found, Origin, left_out, targets, walk_photos
+from zoedepth.data.names import Finder
+from zoedepth.data.tables import SEPARATORS
 from zoedepth.errors import OPTIONAL, InputError, MissingExtraError, no_such
 from zoedepth.folders import service_folder
 from zoedepth.images import IMAGE_SUFFIXES
@@ -35,6 +42,7 @@ from zoedepth.jobs.origins import (
 )
 from zoedepth.jobs.shard import JobShard
 from zoedepth.jobs.work import Input
+from zoedepth.stored.tars import MAX_HEADER, open_tar
 
 LISTS = (".txt", ".lst")
 """Suffixes of text files that have a path or an address in each line."""
@@ -47,6 +55,9 @@ TARS = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 
 COLUMNS = ("image", "photo", "path", "file", "filename", "file_name", "image_path", "url", "uri")
 """Names of the column that is taken where none is said, the first that there is."""
+
+MAX_HELD = 1 << 28
+"""Bytes of compressed archives that are held before the first photo is predicted: beyond, no more members are read."""
 
 _TOGETHER = 1000  # lines and members that get their targets together
 _MAX_LINE = 1 << 16  # letters
@@ -157,8 +168,8 @@ class Sources:
     def _elsewhere(self, name: str, kind: str, found: Found) -> Iterator["_Listed"]:
         """Yield what a list, a table, an archive or an address has."""
         listers: dict[str, Callable[[], Iterator[_Listed]]] = {
-            "list": lambda: _of_lines(name, _lines(name)),
-            "table": lambda: _of_lines(name, _cells(name, self.column)),
+            "list": lambda: _of_lines(name, _lines(name), found),
+            "table": lambda: _of_lines(name, _cells(name, self.column), found),
             "zip": lambda: _of_zip(name, found),
             "tar": lambda: _of_tar(name, found),
             "address of a photo": lambda: iter([_of_address(name)]),
@@ -171,6 +182,18 @@ class Sources:
         except Exception as error:  # archives and stores have errors of many kinds
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             found.unreadable[name] = f"cannot be read to its end ({reason})"
+
+
+def begin(inputs: Iterator[Input], most: int) -> tuple[list[Input], bool]:
+    """Take the first inputs, up to ``most``, fewer where the photos themselves are held; return True if it is all."""
+    first: list[Input] = []
+    n_held = 0
+    while len(first) < most and n_held <= MAX_HELD:
+        if (each := next(inputs, None)) is None:
+            return first, True
+        first.append(each)
+        n_held += len(each.origin.content) if isinstance(each.origin, Held) else 0
+    return first, False
 
 
 @dataclass(frozen=True)
@@ -226,10 +249,11 @@ def _of_address(address: str, *, whole: bool = False) -> _Listed:
     return _Listed(origin.name, place if whole else PurePosixPath(place.name), Path(place.name), origin)
 
 
-def _of_lines(name: str, lines: Iterable[str]) -> Iterator[_Listed]:
+def _of_lines(name: str, lines: Iterable[str], found: Found) -> Iterator[_Listed]:
     """Yield the photos of a list. Paths that do not begin at the root are relative to the list's own folder."""
     away = is_address(name)
     folder = name.rpartition("/")[0] if away else os.path.dirname(name)
+    finder = Finder(Path(folder), anywhere=True)
     for line in lines:
         if is_address(line):
             yield _of_address(line, whole=True)
@@ -237,13 +261,28 @@ def _of_lines(name: str, lines: Iterable[str]) -> Iterator[_Listed]:
             listed = _of_address(f"{folder}/{line}")
             yield _Listed(listed.name, _plain(line), listed.path, listed.origin)
         else:
-            path = Path(folder, line)
+            try:
+                path = finder.find(line, name)
+            except InputError as error:
+                found.unreadable[line] = str(error)
+                continue
             yield _Listed(os.path.abspath(path), _plain(line), path)
+
+
+def _open_text(name: str) -> io.TextIOWrapper:
+    """Open a list or a table in UTF-8, or in UTF-16 with a mark at its beginning, as shells and spreadsheets write it.
+
+    Names of files need not be UTF-8. Their bytes are kept, as Python keeps them in names.
+    """
+    file = open_bytes(name)
+    marked = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    file.seek(0)
+    return io.TextIOWrapper(file, "utf-16" if marked else "utf-8-sig", errors="surrogateescape", newline="")
 
 
 def _lines(name: str) -> Iterator[str]:
     """Yield the lines of a text, without blanks around them and without empty ones."""
-    with open_bytes(name) as file, io.TextIOWrapper(file, "utf-8-sig") as text:
+    with _open_text(name) as text:
         while line := text.readline(_MAX_LINE):
             if line.strip():
                 yield line.strip()
@@ -262,10 +301,29 @@ def _cells(name: str, column: str | None) -> Iterator[str]:
             for batch in table.iter_batches(batch_size=_TOGETHER, columns=[chosen]):
                 yield from (str(cell) for cell in batch.column(0).to_pylist() if cell)
         return
-    with open_bytes(name) as file, io.TextIOWrapper(file, "utf-8-sig", newline="") as text:
-        reader = csv.DictReader(text, delimiter="\t" if name.lower().endswith(".tsv") else ",")
+    with _open_text(name) as text:
+        first = text.readline(_MAX_LINE)
+        if re.fullmatch(r"sep=.\s*", first):  # Excel's own mark of the separator; the names of the columns say it, too
+            first = text.readline(_MAX_LINE)
+        separator = _separator(first, column, usual="\t" if name.lower().endswith(".tsv") else ",")
+        reader = csv.DictReader(text, next(csv.reader([first], delimiter=separator), ()), delimiter=separator)
         chosen = _column(name, reader.fieldnames or (), column)
         yield from (cell.strip() for row in reader if (cell := row.get(chosen)) and cell.strip())
+
+
+def _separator(first: str, column: str | None, *, usual: str) -> str:
+    """Return the separator with which the first line of a table names a column of photos; the usual one otherwise."""
+    for separator in (usual, *SEPARATORS):
+        names = next(csv.reader([first], delimiter=separator), ())
+        if len(names) > 1 and (column in names if column is not None else _usual_column(names)):
+            return separator
+    return usual
+
+
+def _usual_column(names: Iterable[str]) -> str | None:
+    """Return the first of ``COLUMNS`` that there is, as it is written there; None where there is none."""
+    plain = {name.strip().casefold(): name for name in names}
+    return next((plain[known] for known in COLUMNS if known in plain), None)
 
 
 def _column(name: str, columns: Iterable[str], wanted: str | None) -> str:
@@ -274,7 +332,7 @@ def _column(name: str, columns: Iterable[str], wanted: str | None) -> str:
         if wanted not in columns:
             raise no_such(f"column in {name}", wanted, columns)
         return wanted
-    if chosen := next((known for known in COLUMNS if known in columns), columns[0] if len(columns) == 1 else None):
+    if chosen := _usual_column(columns) or (columns[0] if len(columns) == 1 else None):
         return chosen
     if not columns:
         raise InputError(f"{name} is empty: it needs a first line with the names of its columns")
@@ -308,18 +366,38 @@ def _of_zip(name: str, found: Found) -> Iterator[_Listed]:
 def _of_tar(name: str, found: Found) -> Iterator[_Listed]:
     archive = name if is_address(name) else os.path.abspath(name)
     plain = name.lower().endswith(".tar")
-    with open_bytes(archive) as file, tarfile.open(fileobj=file, mode="r:" if plain else "r|*") as tar:
+    with open_bytes(archive) as file, open_tar(unpacked := file if plain else _unpacked(file)) as tar:
         while (member := tar.next()) is not None:
-            tar.members = []  # of ten million it would keep each  # pyright: ignore[reportAttributeAccessIssue]
+            tar.members = []  # of ten million it would keep each
             place = _plain(member.name)
             if not member.isreg() or not _is_photo(place, found):
                 continue
             if plain and not member.issparse():
                 origin: Origin = TarMember(archive, member.name, member.offset_data, member.size)
             else:
-                opened = tar.extractfile(member) if member.size <= MAX_PHOTO else None
-                origin = Held(f"{archive}::{member.name}", b"" if opened is None else opened.read())
+                content = _content(tar, member, unpacked) if member.size <= MAX_PHOTO else b""
+                origin = Held(f"{archive}::{member.name}", content)
             yield _Listed(origin.name, place, Path(place), origin, member.size, int(member.mtime))
+
+
+def _unpacked(file: BinaryIO) -> IO[bytes]:
+    """Return what a compressed file holds, by the bytes that it begins with; the file itself where it is another."""
+    start = file.read(6)
+    file.seek(0)
+    if start.startswith(b"\x1f\x8b"):
+        return cast("IO[bytes]", gzip.GzipFile(fileobj=file))
+    if start.startswith(b"BZh"):
+        return bz2.BZ2File(file)
+    return lzma.LZMAFile(file) if start == b"\xfd7zXZ\0" else file
+
+
+def _content(tar: Any, member: tarfile.TarInfo, unpacked: IO[bytes]) -> bytes:
+    """Return the bytes of a member; nothing is gone back to, which would unpack all of the file again."""
+    if member.issparse():
+        opened = tar.extractfile(member)
+        return b"".join(iter(lambda: opened.read(MAX_HEADER), b""))
+    unpacked.seek(member.offset_data)
+    return unpacked.read(member.size)
 
 
 def _of_store(address: str, out: str, found: Found) -> Iterator[_Listed]:

@@ -15,8 +15,9 @@ from zoedepth.data.facts import Facts, parse_facts
 from zoedepth.data.names import composed
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
-from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, check_end, find_roles, open_tar, split_name
+from zoedepth.shards.members import MAX_JSON, MAX_SAMPLE, find_roles, split_name
 from zoedepth.stored import parse_json
+from zoedepth.stored.tars import check_end, open_tar
 
 INDEX_FILE = "index.json"
 

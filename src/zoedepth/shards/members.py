@@ -4,12 +4,13 @@ import re
 import tarfile
 from collections.abc import Iterable, Mapping
 from io import BytesIO
-from typing import IO, Any, NamedTuple
+from typing import NamedTuple
 
 from zoedepth.data.sample import Target
 from zoedepth.errors import InputError
 from zoedepth.images import IMAGE_SUFFIXES
-from zoedepth.stored import DEPTH_SUFFIXES, BoundedFile
+from zoedepth.stored import DEPTH_SUFFIXES
+from zoedepth.stored.tars import check_end, open_tar
 
 MAX_SAMPLE = 1 << 28
 """The most bytes that a sample may have: 256 MiB."""
@@ -21,7 +22,6 @@ _MAX_MEMBERS = 100
 
 # webdataset's rule: the key ends at the first dot of the file's name.
 _NAME = re.compile(r"((?:.*/)?[^./][^./]*)\.([^/]+)", re.DOTALL)
-_DIGITS = re.compile(rb"\d{256}")  # a file's name has at most 255 bytes
 _PHOTOS = ("", "image", "rgb")
 _TARGETS: dict[str, Target] = {"depth": "depth", "depth_map": "depth", "disparity": "disparity"}
 
@@ -94,37 +94,6 @@ def unpack(block: bytes, where: str) -> dict[str, bytes]:
             raise
         raise InputError(f"{where}: the shard is damaged, copy it again ({error})") from error
     return found
-
-
-def open_tar(file: IO[bytes]) -> Any:
-    """Open a tar file that is not compressed; returns a ``TarFile``, whose list of members its types leave out.
-
-    Its headers may be as long as the JSON of a sample, and a ``ValueError`` is raised where one claims to be longer.
-    """
-    bounded: Any = _Headers(file, max_bytes=MAX_JSON)  # as much of a file as tarfile uses
-    return tarfile.open(fileobj=bounded, mode="r:")
-
-
-class _Headers(BoundedFile):
-    """The headers of a tar file. ``tarfile`` takes seconds for 64 KiB of digits: it begins anew at each."""
-
-    def read(self, size: int = -1) -> bytes:
-        """Read ``size`` bytes."""
-        content = super().read(size)
-        if len(content) > tarfile.BLOCKSIZE and _DIGITS.search(content):
-            raise ValueError("a header has a number of more than 255 digits")
-        return content
-
-
-def check_end(file: IO[bytes], offset: int) -> None:
-    """Check that a tar file ends here: the true end is empty or zeros, but ``tarfile`` also stops at a damaged header.
-
-    Raises:
-        tarfile.ReadError: something else stands there.
-    """
-    file.seek(offset)
-    if any(file.read(tarfile.BLOCKSIZE)):
-        raise tarfile.ReadError(f"no header at byte {offset:,}")
 
 
 def _matches(extension: str, names: Iterable[str], suffixes: Iterable[str]) -> bool:
