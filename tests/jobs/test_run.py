@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import random
 import shutil
+import sys
 import threading
 import time
 from collections import Counter
@@ -59,6 +60,14 @@ def test_a_second_time_nothing_is_done(folder: Path, tmp_path: Path) -> None:
     assert (tally.done, tally.before) == (4, 0)
     assert contents(tmp_path / "out") == before
     assert not [file for file in (tmp_path / "out").iterdir() if file.name.startswith(".zoedepth-drafts")]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Windows and macOS keep names as Unicode")
+def test_a_second_time_nothing_is_done_for_names_that_are_not_utf8(tmp_path: Path) -> None:
+    write_photo(tmp_path / "in" / os.fsdecode(b"caf\xe9.png"))
+    assert run(tmp_path / "in", out=tmp_path / "out")[1].done == 1
+    again = run(tmp_path / "in", out=tmp_path / "out")[1]
+    assert (again.done, again.before) == (0, 1)
 
 
 def test_new_failed_and_changed_photos_are_done_and_so_are_those_whose_files_are_gone(

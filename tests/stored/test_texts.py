@@ -1,11 +1,12 @@
 """Small texts and JSON are read as written, and refused where they are too long, too deep, or something else."""
 
+import os
 from pathlib import Path
 
 import pytest
 
 from zoedepth.errors import InputError
-from zoedepth.stored import MAX_NESTING, parse_json, read_json, read_numbers, read_text, readable, to_json
+from zoedepth.stored import MAX_NESTING, parse_json, read_json, read_numbers, read_text, readable, to_json, unreadable
 
 
 def test_numbers(tmp_path: Path) -> None:
@@ -76,6 +77,7 @@ def test_names_of_files_can_be_written_whatever_their_bytes_are() -> None:
         ("客厅.jpg", "客厅.jpg"),
     ):
         assert readable(name) == written
+        assert os.fsencode(unreadable(written)) == os.fsencode(name)
         text = to_json({name: [(name, None)], "number": 1.5})
         assert text.isascii()
         assert parse_json(text, "text") == {written: [[written, None]], "number": 1.5}

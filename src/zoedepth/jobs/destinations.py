@@ -16,6 +16,7 @@ from zoedepth.batch import Photo, Request, blocked, earlier_files, end_of_writin
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.outputs import sidecar as sidecars
+from zoedepth.stored import unreadable
 
 DRAFTS = ".zoedepth-drafts"
 """Beginning of the name of the folder in which files are written before they get their places."""
@@ -151,8 +152,17 @@ class LocalFolder:
     def has(self, outputs: Mapping[str, tuple[str, int]]) -> bool:
         """See ``Destination``."""
         root = f"{self.folder}{os.sep}"
+
+        def size(file: str) -> int:
+            try:
+                return os.stat(root + file).st_size
+            except FileNotFoundError:
+                if "\\x" not in file:
+                    raise
+                return os.stat(root + unreadable(file)).st_size  # the manifest spells out what is not UTF-8
+
         try:
-            return all(os.stat(root + file).st_size == n_bytes for file, n_bytes in outputs.values())
+            return all(size(file) == n_bytes for file, n_bytes in outputs.values())
         except OSError:
             return False
 

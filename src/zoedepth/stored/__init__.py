@@ -30,6 +30,7 @@ from zoedepth.stored.texts import (
     read_text,
     readable,
     to_json,
+    unreadable,
 )
 
 __all__ = [
@@ -60,4 +61,5 @@ __all__ = [
     "read_text",
     "readable",
     "to_json",
+    "unreadable",
 ]

@@ -1,6 +1,7 @@
 """Small texts and JSON: read with bounds on length, depth and value; written so that anything can read them."""
 
 import json
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ MAX_TEXT = 1 << 20
 MAX_NESTING = 32
 """The greatest depth of brackets in a JSON text."""
 
+_SPELT_OUT = re.compile(rb"\\x([89a-f][0-9a-f])")
 _MAX_NUMBER = 1e38  # what float32 holds
 
 
@@ -82,6 +84,12 @@ def readable(text: str) -> str:
     spelt out: ``caf\\xe9.jpg``.
     """
     return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def unreadable(text: str) -> str:
+    """Return the name of a file of which ``readable`` made a text: bytes that it spelt out are those bytes again."""
+    spelt = text.encode("utf-8", "surrogateescape")
+    return _SPELT_OUT.sub(lambda found: bytes([int(found[1], 16)]), spelt).decode("utf-8", "surrogateescape")
 
 
 def to_json(values: object, *, indent: int | None = None) -> str:
