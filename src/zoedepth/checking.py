@@ -22,6 +22,9 @@ from zoedepth.synthetic import SyntheticScenes
 N_READ = 50
 """Pairs that are read unless all are asked for: enough for the range of depth, in seconds rather than hours."""
 
+N_DOUBTED = 16
+"""Pairs whose depth is looked at before a data set is trained on, or scored."""
+
 N_SHOWN = 8
 """Pairs in a contact sheet."""
 
@@ -106,9 +109,7 @@ class Report:
     @property
     def implausible(self) -> list[str]:
         """Problems that are about the values of depth."""
-        mark = self.doubts.mark
-        marks = [str(mark)] if mark is not None and mark.certain else []
-        return self.doubts.impossible + ([] if self.unit_known else self.doubts.unlikely + marks)
+        return self.doubts.impossible if self.unit_known else self.doubts.named
 
 
 def check(
@@ -180,9 +181,29 @@ def check(
         empty=tuple(empty),
         n_cameras=n_cameras,
         doubts=doubts(glances, max_depth=getattr(dataset, "max_depth", None)),
-        unit_known=isinstance(dataset, PublishedDataset | SyntheticScenes),
+        unit_known=_knows_unit(dataset),
         registration=register(outlines),
     )
+
+
+def doubt_depth(dataset: Samples) -> Doubts:
+    """Judge the depth of a data set by ``N_DOUBTED`` of its maps; it is believed where the reader knows the unit."""
+    if _knows_unit(dataset):
+        return Doubts()
+    glances = []
+    for index in evenly(range(len(dataset)), N_DOUBTED):
+        try:
+            sample = dataset[index]
+        except InputError:
+            continue  # whoever uses it says why
+        if sample.kind == "depth" and sample.mask.any():
+            values = sample.target[sample.mask].numpy()
+            glances.append(glance(depth_file(dataset, index, sample), sample.domain, values))
+    return doubts(glances, max_depth=getattr(dataset, "max_depth", None))
+
+
+def _knows_unit(dataset: Samples) -> bool:
+    return isinstance(dataset, PublishedDataset | SyntheticScenes)
 
 
 def edges_of(sample: Sample) -> Edges | None:

@@ -61,6 +61,15 @@ def test_summaries_are_set_by_set_of_all_sources() -> None:
     assert (found.complete, found.failures, found.pictures, found.processes) == (True, [], {}, Processes())
 
 
+def test_truth_that_is_hardly_in_metres_is_named() -> None:
+    told: list[str] = []
+    millimetres = Photos(replace(each, target=1000 * each.target) for each in photos(3))
+    sets = {"rooms": evaluation_set(4), "wrong": EvaluationSet(millimetres, PROTOCOLS)}
+    evaluate({"ours": FactorSource()}, sets, on_note=told.append)
+    assert [note.partition(":")[0] for note in told] == ["wrong"]
+    assert "the median depth of its indoor photos is" in told[0]
+
+
 def test_failures_are_told_one_by_one_and_make_it_incomplete() -> None:
     told: list[str] = []
     found = evaluate({"ours": FactorSource(broken=["1.jpg"])}, SETS, on_failure=told.append)

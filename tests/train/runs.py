@@ -11,6 +11,7 @@ from PIL import Image
 from tests.folders import write_csv
 
 from zoedepth.data.pairs import PairDataset
+from zoedepth.data.plausible import Doubts
 from zoedepth.data.sample import Sample
 
 
@@ -36,7 +37,8 @@ def assert_same_checkpoint(first: Path, second: Path) -> None:
 
 
 def on_reading(monkeypatch: pytest.MonkeyPatch, change: Callable[[Sample], Sample]) -> None:
-    """Put a change between the files and the training."""
+    """Put a change between the files and the training, which looks at its depth without it."""
+    monkeypatch.setattr("zoedepth.train.sources.doubt_depth", lambda dataset: Doubts())
     original = PairDataset.__getitem__
     monkeypatch.setattr(PairDataset, "__getitem__", lambda self, index: change(original(self, index)))
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from tests.folders import write_pairs
 
 from zoedepth.data.augment import augment
@@ -68,6 +69,28 @@ def test_unsuitable_data_is_an_error_that_says_why(
     one = make_config(model=dataclasses.replace(make_config().model, domains=make_config().model.domains[:1]))
     load_sources(one, {"indoor": attic})
     load_sources(make_config("relative"), {"indoor": attic})
+
+
+def test_depth_that_no_photo_has_is_refused_before_stage_2(make_config: MakeConfig, tmp_path: Path) -> None:
+    wrong = write_pairs(tmp_path, n=2)
+    wrong.write_text(wrong.read_text().replace(",1000,", ",1,"))  # millimetres, said to be metres
+    with pytest.raises(
+        InputError, match=r"train\.csv: the median depth of its indoor photos is \d+ m.* --config.check off"
+    ):
+        load_sources(make_config(), {"indoor": wrong})
+    load_sources(make_config(check="off"), {"indoor": wrong})
+    load_sources(make_config("relative"), {"indoor": wrong})
+
+
+def test_holes_that_are_stored_as_the_largest_number_are_named(make_config: MakeConfig, tmp_path: Path) -> None:
+    listed = write_pairs(tmp_path, n=2)
+    assert load_sources(make_config(), {"indoor": listed})[0][0][1].doubts == []
+    for file in sorted((tmp_path / "depth").iterdir()):
+        stored = np.asarray(Image.open(file)).copy()
+        stored[:9] = 65535
+        Image.fromarray(stored).save(file)
+    (doubt,) = load_sources(make_config(), {"indoor": listed})[0][0][1].doubts
+    assert "hold the largest value, 65.535 m" in doubt
 
 
 def test_data_set_read_by_a_run_is_that_of_its_train_list(make_config: MakeConfig, data: Data) -> None:

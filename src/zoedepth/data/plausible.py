@@ -116,6 +116,12 @@ class Doubts:
         ]
 
     @property
+    def named(self) -> list[str]:
+        """Sentences about all that is hardly right: medians, maps, and a mark that is no depth."""
+        marks = [str(self.mark)] if self.mark is not None and self.mark.certain else []
+        return self.impossible + self.unlikely + marks
+
+    @property
     def unlikely(self) -> list[str]:
         """Sentences about medians and maps that are hardly right."""
         found = []

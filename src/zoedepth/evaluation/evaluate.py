@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
+from zoedepth.checking import doubt_depth
 from zoedepth.errors import InputError
 from zoedepth.evaluation.comparison import compared
 from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
@@ -140,6 +141,9 @@ def evaluate(
         if on_note is not None and processes.rank == 0:
             on_note(message)
 
+    for name, each in data.items() if processes.rank == 0 else ():
+        for odd in doubt_depth(each.dataset).named:
+            note(f"{name}: {odd}")
     for source in sources.values():
         for each in data.values():
             if isinstance(source, FolderSource) and (odd := _doubt(source, each)):

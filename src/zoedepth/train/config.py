@@ -190,7 +190,8 @@ class TrainConfig:
     """Processes that read and augment samples; 0: the training does it itself."""
     check: Check = "quick"
     """Look at the data before the first step. quick: headers, sizes and ends of all files. full: every sample is read.
-    off: nothing."""
+    off: nothing. Otherwise the depth of some pairs is looked at before stage 2, too, and depth that no photo has is
+    refused."""
     seed: int = 43
     """Seed of the initial weights, the order of the data and the augmentations."""
 

@@ -117,6 +117,9 @@ def set_up(
         tolerant = tuple(samples for _, samples in training)
         for problem in (problem for samples in tolerant for problem in samples.problems.values()):
             log.say(f"skipped: {problem}")
+        for samples in tolerant:
+            for doubt in samples.doubts:
+                log.say(f"{samples.name}: warning: {doubt}")
         run = Run(
             config, out, fabric, state, network, optimizer, sources, tolerant, validation, batches, identity, log,
             interruption,

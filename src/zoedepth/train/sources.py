@@ -8,8 +8,10 @@ from typing import Any, cast
 import numpy as np
 from torch.utils.data import Dataset, Subset
 
+from zoedepth.checking import doubt_depth
 from zoedepth.data import augment
 from zoedepth.data.integrity import find_broken
+from zoedepth.data.plausible import Doubts
 from zoedepth.data.sample import DepthDataset, Sample
 from zoedepth.errors import InputError
 from zoedepth.opening import open_dataset
@@ -39,8 +41,8 @@ def load_sources(
         validate on.
 
     Raises:
-        InputError: a name is not one of the config's sources, the data does not suit the stage, or too much of it is
-            broken.
+        InputError: a name is not one of the config's sources, the data does not suit the stage, too much of it is
+            broken, or stage 2 is to learn from depth that no photo has.
     """
     known = {source.name: source for source in config.sources}
     if unknown := sorted(set(data) - set(known)):
@@ -71,9 +73,15 @@ def load_sources(
             broken = find_broken(dataset, full=config.check == "full", progress=progress)
         if too_many(broken, len(dataset)):
             raise InputError(explained(str(data[name]), broken, len(dataset)))
+        odd = Doubts() if config.check == "off" or config.stage == "relative" else doubt_depth(dataset)
+        if odd.impossible:
+            raise InputError(
+                f"{data[name]}: {'; '.join(odd.impossible)}. Give the right depth_scale in the data or in its source, "
+                "or --config.check off if it is right as it is"
+            )
         held = {i: problem for i, problem in broken.items() if i < n_training}
         part = _part(dataset, range(n_training), known[name])
-        training.append((known[name], Tolerant(part, name=name, broken=held)))
+        training.append((known[name], Tolerant(part, name=name, broken=held, doubts=odd.named)))
         if config.holdout:
             validation[name] = _part(dataset, range(n_training, len(dataset)), known[name])
     return training, validation

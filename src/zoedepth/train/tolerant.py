@@ -1,6 +1,6 @@
 """Samples of which some cannot be read: a training goes on without them, and says which they are."""
 
-from collections.abc import Iterator, Mapping, Sized
+from collections.abc import Iterator, Mapping, Sequence, Sized
 
 import numpy as np
 import torch
@@ -25,11 +25,20 @@ class Tolerant(Dataset[Sample]):
         samples: the samples.
         name: their name, for messages.
         broken: number of a sample that is known to be broken → message that says why.
+        doubts: sentences about depth that is hardly right.
     """
 
-    def __init__(self, samples: Samples, *, name: str, broken: Mapping[int, str] | None = None) -> None:
+    def __init__(
+        self,
+        samples: Samples,
+        *,
+        name: str,
+        broken: Mapping[int, str] | None = None,
+        doubts: Sequence[str] = (),
+    ) -> None:
         self.samples = samples
         self.name = name
+        self.doubts = doubts
         self.problems = dict(broken or {})
         """Number of a broken sample → message, as far as this process knows them."""
         # Processes that read samples tell this one which are broken.
