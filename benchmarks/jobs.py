@@ -460,7 +460,7 @@ def _run(words: list[str]) -> int:
 
     try:
         return command(words)
-    except BaseException as error:
+    except BaseException as error:  # a process of its own tells it to the one that counts
         print(repr(error), file=sys.stderr)
         return 99
 

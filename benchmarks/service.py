@@ -57,7 +57,7 @@ class Service(NamedTuple):
     def memory(self) -> int:
         """Bytes of memory that it holds."""
         status = Path(f"/proc/{self.process.pid}/status").read_text()
-        return 1024 * int(re.search(r"VmRSS:\s*(\d+)", status)[1])  # pyright: ignore[reportOptionalSubscript]
+        return 1024 * int(re.search(r"VmRSS:\s*(\d+)", status)[1])
 
     @property
     def n_files(self) -> int:

@@ -81,7 +81,7 @@ def rescale(model: ZoeDepth, photos: list[Tensor]) -> None:
     ):
         wanted = factor if size is None else SIZE / 2 / size
         conv.weight.mul_(wanted / factor)
-        conv.bias.mul_(wanted)  # pyright: ignore[reportOptionalMemberAccess]
+        conv.bias.mul_(wanted)
         factor = wanted
 
 

@@ -27,7 +27,7 @@ def test_old_name_of_a_function_is_the_function_of_today() -> None:
     with pytest.warns(DeprecationWarning, match=r"zoedepth\.images\.read_depth is now zoedepth\.stored\.read_depth"):
         assert images.read_depth is read_depth
     with pytest.raises(AttributeError, match="has no attribute 'read_dept'"):
-        images.read_dept  # noqa: B018
+        images.read_dept  # noqa: B018 - to look is what raises
 
 
 @pytest.mark.parametrize("name", ["zoedepth.camara", "zoedepth.heads.none", "zoedepth.data.opening"])
@@ -40,10 +40,10 @@ def test_the_warning_is_of_the_line_that_uses_the_old_name() -> None:
     from zoedepth import images
 
     with pytest.warns(DeprecationWarning, match="read_depth") as warned:
-        getattr(images, "read_depth")  # noqa: B009
+        getattr(images, "read_depth")  # noqa: B009 - a plain attribute would be one for the linter, too
     sys.modules.pop("zoedepth.camera", None)
     with pytest.warns(DeprecationWarning, match="camera") as too:
-        import zoedepth.camera  # pyright: ignore[reportMissingImports]  # noqa: F401
+        import zoedepth.camera  # noqa: F401 - importing it is what warns
     assert [warning.filename for warning in [*warned, *too]] == [__file__] * 2
     sys.modules.pop("zoedepth.camera", None)
 

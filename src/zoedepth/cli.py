@@ -239,7 +239,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _stop(NOBODY_READS)
         _stop(0)
         raise
-    except Exception as error:
+    except Exception as error:  # of all that goes wrong, what people can mend is one line; the rest is raised again
         if (refusal := _refusal(error)) is not None:
             return _stop(WRONG, f"{name}: {_describe(refusal)}")
         if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):

@@ -103,7 +103,7 @@ def test_samples_and_their_augmentation_are_a_function_of_seed_and_position() ->
     np.random.seed(0)  # noqa: NPY002  # the global state must not matter
     expected = first([mixture([5, 3], [2, 1])[position] for position in range(30)])
     torch.manual_seed(1)
-    np.random.seed(1)  # noqa: NPY002
+    np.random.seed(1)  # noqa: NPY002  # the global state must not matter
     mixed = mixture([5, 3], [2, 1])
     backwards = first([mixed[position] for position in reversed(range(30))])
     assert backwards[::-1] == expected

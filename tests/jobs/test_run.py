@@ -293,7 +293,7 @@ def test_inputs_are_counted_in_the_background() -> None:
         raise InputError("no")
 
     tally = Tally()
-    count_in_background(tally, broken).join()  # pyright: ignore[reportArgumentType]
+    count_in_background(tally, broken).join()
     assert tally.total is None
 
 

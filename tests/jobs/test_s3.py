@@ -36,9 +36,9 @@ class Trouble:
             fails = self.every and path.endswith((".png", ".npy", ".json")) and self.n_requests % self.every == 0
         time.sleep(self.wait)
         if fails or (self.gone and method == "PUT" and "manifest" not in path):
-            start_response("503 Slow Down", [("Content-Type", "application/xml")])  # pyright: ignore[reportCallIssue]
+            start_response("503 Slow Down", [("Content-Type", "application/xml")])
             return [b"<Error><Code>SlowDown</Code><Message>Please reduce your request rate.</Message></Error>"]
-        return self.application(environ, start_response)  # pyright: ignore[reportCallIssue]
+        return self.application(environ, start_response)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def server() -> Iterator[tuple[str, Trouble]]:
     from werkzeug.serving import make_server
 
     trouble = Trouble(DomainDispatcherApplication(create_backend_app))
-    server = make_server("127.0.0.1", 0, trouble, threaded=True)  # pyright: ignore[reportArgumentType]
+    server = make_server("127.0.0.1", 0, trouble, threaded=True)
     thread = Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True)
     thread.start()
     yield f"http://127.0.0.1:{server.server_port}", trouble

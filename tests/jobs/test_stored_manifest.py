@@ -95,7 +95,7 @@ class TestTwoCommands:
         put = system.put_file
 
         def unanswered(self: object, *arguments: object, **options: object) -> None:
-            put(self, *arguments, **options)  # pyright: ignore[reportArgumentType]
+            put(self, *arguments, **options)
             raise TimeoutError("no answer")
 
         monkeypatch.setattr(origins, "_FIRST_WAIT", 0)

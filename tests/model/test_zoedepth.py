@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tests.models import random_model
 
 from zoedepth.config import INDOOR, OUTDOOR, AttractorConfig, Domain, EncoderConfig, ModelConfig, RouterConfig
 from zoedepth.errors import InputError
@@ -13,17 +14,6 @@ from zoedepth.presets import ENCODERS, PRESETS
 MEAN = AttractorConfig(
     n_bins=8, n_attractors=(4, 3, 2, 1), reduce="mean", embedding_width=16, projector_width=16, seed_width=16
 )
-
-
-def build(config: ModelConfig, *, seed: int = 0) -> ZoeDepth:
-    """A random model whose weights are twice as large as they begin, so that its depth is not the same everywhere."""
-    torch.manual_seed(seed)
-    model = ZoeDepth(config).eval()
-    with torch.no_grad():
-        for weight in model.parameters():
-            if weight.ndim > 1:
-                weight.mul_(2)
-    return model
 
 
 def photos(batch: int = 4, size: tuple[int, int] = (64, 64)) -> torch.Tensor:
@@ -78,7 +68,7 @@ def test_std_is_that_of_the_bins_and_comes_only_on_request(tiny_model: ZoeDepth)
 @pytest.mark.parametrize("upsampling", ["bilinear", "convex"])
 def test_half_resolution_decoder_still_answers_at_the_size_of_the_input(tiny_config: ModelConfig, upsampling: str):
     decoder = replace(tiny_config.decoder, output_stride=2, upsampling=upsampling)
-    output = build(replace(tiny_config, decoder=decoder))(photos(), return_bins=True)
+    output = random_model(replace(tiny_config, decoder=decoder))(photos(), return_bins=True)
     assert output.depth.shape == output.relative.shape == (4, 1, 64, 64)
     assert output.probability.shape == (4, 8, 64, 64)
     assert torch.allclose(output.probability.sum(dim=1), torch.ones(4, 64, 64), atol=1e-5)
@@ -88,7 +78,7 @@ def test_convex_upsampling_gives_depth_and_deviation_the_same_weights_from_the_n
     tiny_config: ModelConfig,
 ):
     decoder = replace(tiny_config.decoder, output_stride=2, upsampling="convex")
-    model, seen = build(replace(tiny_config, decoder=decoder)), []
+    model, seen = random_model(replace(tiny_config, decoder=decoder)), []
     torch.nn.init.normal_(model.convex.conv2.weight)
     model.convex.register_forward_hook(lambda module, inputs, weights: seen.append((inputs, weights)))
     output = model(photos(), domain=torch.ones(4, dtype=torch.long), return_std=True)
@@ -120,7 +110,7 @@ def test_input_is_left_alone(tiny_model: ZoeDepth):
 
 
 def test_bfloat16_autocast_is_finite_and_close(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, head=MEAN))
+    model = random_model(replace(tiny_config, head=MEAN))
     given = torch.tensor([0, 1, 0, 1])
     exact = model(photos(), domain=given).depth
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -177,7 +167,7 @@ SWIN = EncoderConfig(
 
 
 def test_swin_takes_one_size_only(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, encoder=SWIN))
+    model = random_model(replace(tiny_config, encoder=SWIN))
     assert model(photos()).depth.shape == (4, 1, 64, 64)
     with pytest.raises(InputError, match=r"\(64, 64\) only; got \(64, 96\)"):
         model(photos(1, (64, 96)))
@@ -187,7 +177,7 @@ def test_swin_takes_one_size_only(tiny_config: ModelConfig):
     "encoder", [SWIN, ENCODERS["tf_efficientnet_lite0"], None], ids=["swin", "efficientnet", "beit"]
 )
 def test_gradients_reach_every_part(tiny_config: ModelConfig, encoder: EncoderConfig | None):
-    model = build(replace(tiny_config, head=MEAN, encoder=encoder or tiny_config.encoder))
+    model = random_model(replace(tiny_config, head=MEAN, encoder=encoder or tiny_config.encoder))
     output = model(photos(), domain=torch.tensor([0, 1, 0, 1]))
     (output.depth.square().mean() + output.domain_logits.square().mean()).backward()
     assert [name for name, p in model.named_parameters() if p.grad is None] == []
@@ -209,7 +199,7 @@ def test_shipped_architecture_runs():
 
 @pytest.mark.parametrize("classifier", ["mlp", "transformer"])
 def test_batch_that_routes_differently_equals_its_images_alone(tiny_config: ModelConfig, classifier: str):
-    model = build(replace(tiny_config, router=replace(tiny_config.router, classifier=classifier)))
+    model = random_model(replace(tiny_config, router=replace(tiny_config.router, classifier=classifier)))
     pixels = photos(5)[[3, 0, 4, 1, 2]]
     heads = split_routes(model, pixels)
     assert set(heads) == {0, 1}
@@ -226,7 +216,7 @@ def test_batch_that_routes_differently_equals_its_images_alone(tiny_config: Mode
 def test_each_image_takes_the_head_of_its_domain(tiny_config: ModelConfig):
     """Heads of normed centers cannot leave their range, so the ranges of the depth show which head an image took."""
     domains = (Domain("near", 1.0, 2.0), Domain("middle", 10.0, 20.0), Domain("far", 50.0, 100.0))
-    model = build(replace(tiny_config, head=replace(MEAN, centers="normed"), domains=domains))
+    model = random_model(replace(tiny_config, head=replace(MEAN, centers="normed"), domains=domains))
     given = torch.tensor([2, 0, 1, 0, 2])
     output = model(photos(5), domain=given)
     assert torch.equal(output.domain, given)
@@ -247,7 +237,7 @@ def test_given_domain_overrides_the_router(tiny_model: ZoeDepth):
 
 
 def test_labeled_router_needs_labels(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, router=RouterConfig("labeled")))
+    model = random_model(replace(tiny_config, router=RouterConfig("labeled")))
     with pytest.raises(InputError, match="domain"):
         model(photos(2))
     output = model(photos(2), domain=torch.tensor([1, 0]))
@@ -256,7 +246,7 @@ def test_labeled_router_needs_labels(tiny_config: ModelConfig):
 
 
 def test_one_domain_has_no_router(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, domains=(OUTDOOR,)))
+    model = random_model(replace(tiny_config, domains=(OUTDOOR,)))
     output = model(photos(2))
     assert output.domain.tolist() == [0, 0]
     assert output.domain_logits is None
@@ -264,7 +254,7 @@ def test_one_domain_has_no_router(tiny_config: ModelConfig):
 
 
 def test_auto_router_mixes_the_depths_of_all_heads_while_training(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, router=RouterConfig("auto", width=16))).train()
+    model = random_model(replace(tiny_config, router=RouterConfig("auto", width=16))).train()
     pixels = photos(2)
     mixed = model(pixels, return_bins=True)
     weights = mixed.domain_logits.softmax(dim=1)
@@ -277,7 +267,7 @@ def test_auto_router_mixes_the_depths_of_all_heads_while_training(tiny_config: M
 
 
 def test_auto_router_takes_its_best_head_in_evaluation(tiny_config: ModelConfig):
-    model = build(replace(tiny_config, router=RouterConfig("auto", width=16)))
+    model = random_model(replace(tiny_config, router=RouterConfig("auto", width=16)))
     pixels = photos(5)
     assert set(split_routes(model, pixels)) == {0, 1}
     output = model(pixels)
@@ -287,7 +277,7 @@ def test_auto_router_takes_its_best_head_in_evaluation(tiny_config: ModelConfig)
 
 @pytest.mark.parametrize(("kind", "learns"), [("auto", True), ("trained", False)])
 def test_only_the_auto_router_learns_from_the_depth(tiny_config: ModelConfig, kind: str, learns: bool):
-    model = build(replace(tiny_config, head=MEAN, router=RouterConfig(kind, width=16))).train()
+    model = random_model(replace(tiny_config, head=MEAN, router=RouterConfig(kind, width=16))).train()
     depth = model(photos()).depth
     silog(depth, torch.full_like(depth, 3.0), torch.ones_like(depth, dtype=torch.bool)).backward()
     gradients = [p.grad for p in model.router.parameters()]
@@ -296,7 +286,7 @@ def test_only_the_auto_router_learns_from_the_depth(tiny_config: ModelConfig, ki
 
 
 def test_shared_part_is_shared_and_heads_are_their_own(tiny_config: ModelConfig):
-    model = build(tiny_config)
+    model = random_model(tiny_config)
     assert len(model.heads) == 2
     before = model(photos(2), domain=torch.tensor([0, 1])).depth
     with torch.no_grad():
@@ -318,7 +308,7 @@ def test_relative_features_are_those_of_the_whole_model(tiny_model: ZoeDepth):
 
 def test_any_number_of_domains(tiny_config: ModelConfig):
     domains = (INDOOR, OUTDOOR, Domain("underwater", 0.1, 20.0), Domain("aerial", 10.0, 500.0))
-    output = build(replace(tiny_config, domains=domains))(photos(4), domain=torch.tensor([3, 2, 1, 0]))
+    output = random_model(replace(tiny_config, domains=domains))(photos(4), domain=torch.tensor([3, 2, 1, 0]))
     assert output.domain_logits.shape == (4, 4)
     assert output.depth.isfinite().all()
 

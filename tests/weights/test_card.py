@@ -22,7 +22,7 @@ def card(
     *, config: ModelConfig = NK, name: str = "lab/model", layout: str = "zoedepth", **more: object
 ) -> tuple[dict, str]:
     """The front matter as the Hub reads it, and the text below it."""
-    text = model_card(config, name=name, layout=layout, **more)  # pyright: ignore[reportArgumentType]
+    text = model_card(config, name=name, layout=layout, **more)
     parsed = ModelCard(text)
     return parsed.data.to_dict(), parsed.text
 

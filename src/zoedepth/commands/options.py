@@ -132,6 +132,7 @@ def _explained(hint: Any, name: str, text: str, *, flag: bool, hidden: bool) -> 
     about = tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint="" if hidden else None)
     if flag:
         words.append(tyro.conf.FlagCreatePairsOff)  # --json, without --no-json
+    # Made while it runs, of as many words as there are: no type checker can know it.
     return Annotated[(base, about, *words)]  # pyright: ignore[reportInvalidTypeForm]
 
 
@@ -166,6 +167,7 @@ def _wrapped(text: str, width: int) -> str:
 class _Record(io.StringIO):
     """Text that is written as for standard output: with boxes and colours where they can be shown."""
 
+    # A StringIO has it as an attribute that is None.
     @property
     def encoding(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return sys.__stdout__.encoding if sys.__stdout__ else "utf-8"

@@ -79,7 +79,9 @@ def serve(
 
     if workers < 1:
         raise InputError(f"--workers must be 1 or more, got {workers}")
-    limits = Limits(max_body, max_pixels, queue, max_wait, max_seconds, grace=grace)
+    limits = Limits(
+        max_body=max_body, max_pixels=max_pixels, queue=queue, max_wait=max_wait, max_seconds=max_seconds, grace=grace
+    )
     settings = Settings(
         _chosen(model), device, precision, threads, batch_size,
         token=_token(token_file), hosts=allow_host, origins=allow_origin, limits=limits,

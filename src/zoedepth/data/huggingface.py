@@ -66,7 +66,7 @@ def load_saved(folder: Path, *, split: str) -> "datasets.Dataset":
     library = _library()
     try:
         loaded = library.load_from_disk(str(folder))
-    except Exception as error:
+    except Exception as error:  # the library raises nearly anything on a folder that is another's
         raise InputError(f"cannot load the data set in {folder}: {error}") from error
     if not isinstance(loaded, library.DatasetDict):
         return loaded

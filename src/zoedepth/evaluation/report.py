@@ -190,7 +190,7 @@ def require_matplotlib() -> None:
         MissingExtraError: matplotlib is not installed.
     """
     try:
-        import matplotlib.figure  # noqa: F401
+        import matplotlib.figure  # noqa: F401 - only to see whether it is there
     except ImportError as error:
         raise MissingExtraError("report", "an evaluation report with pictures") from error
 

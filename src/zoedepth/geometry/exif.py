@@ -270,6 +270,7 @@ def _number(notes: PhotoNotes, tag: int, what: str, unit: str) -> float:
     if isinstance(value, tuple) and len(value) == 1:
         value = value[0]
     try:
+        # EXIF's values are of any type: what is no number raises.
         number = float(value)  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError, OverflowError, ZeroDivisionError):
         number = math.nan

@@ -244,7 +244,7 @@ def measure(
                 worker = start(work)
                 try:
                     running.append(_Running(work, worker, worker.ask(None), worker.ask("memory")))
-                except BaseException as error:
+                except BaseException as error:  # whatever it is, the worker must not be left behind
                     worker.end()
                     if not isinstance(error, InputError):
                         raise

@@ -67,6 +67,7 @@ async def _read_form(request: Request, kind: str, allowed: Collection[str]) -> d
         raise Problem("malformed-body", "The header Content-Type of the form lacks the boundary of its parts.")
     form = _Form(allowed)
     try:
+        # The library's type wants all of its callbacks; it calls those that there are.
         parser = MultipartParser(boundary, form.callbacks)  # pyright: ignore[reportArgumentType]
         async for piece in request.stream():
             parser.write(piece)

@@ -349,7 +349,7 @@ def told() -> Iterator[None]:
         yield
     except (Problem, ClientGone):
         raise
-    except Exception as error:
+    except Exception as error:  # what is no problem of a photo is raised again
         if (problem := as_problem(error)) is not None:
             raise problem from error
         raise

@@ -137,6 +137,7 @@ def hear_warnings() -> Iterator[None]:
             if (heard := getattr(_heard, "warnings", None)) is not None:
                 heard.append(str(message))
         else:
+            # Handed on as it came: *rest has the types that Python's own showwarning takes.
             before(message, category, *rest)  # pyright: ignore[reportArgumentType]
 
     with warnings.catch_warnings():

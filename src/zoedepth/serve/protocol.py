@@ -22,6 +22,7 @@ class PatientProtocol(H11Protocol):
         self._patience: asyncio.TimerHandle | None = None
         self._seconds: float = self.app_state.get(IDLE, 10.0)
 
+    # uvicorn narrows the argument, too: asyncio says that it is a BaseTransport.
     def connection_made(self, transport: asyncio.Transport) -> None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Begin: a head must come."""
         super().connection_made(transport)

@@ -108,6 +108,7 @@ class CalibratedQuery(PredictionQuery):
 class DepthQuery(CalibratedQuery):
     """The query of /v1/depth."""
 
+    # pydantic makes the choices of a tuple, which a type checker cannot know.
     format: Literal[NAMES] | None = Field(  # pyright: ignore[reportInvalidTypeForm]
         None, description="Format of the answer; without it, that of the header Accept, else png."
     )

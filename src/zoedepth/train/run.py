@@ -128,7 +128,7 @@ def set_up(
             yield run
         except TrainingError:  # the numbers went wrong: older checkpoints are worth more
             raise
-        except Exception:
+        except Exception:  # nobody foresaw it: the last step is saved, and it is raised again
             _rescue(run)
             raise
         finally:

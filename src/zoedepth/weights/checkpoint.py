@@ -271,6 +271,6 @@ def _new_folder(path: Path) -> Iterator[Path]:
         if path.is_dir():
             path.rmdir()  # empty
         part.rename(path)
-    except BaseException:
+    except BaseException:  # also Ctrl-C: the part goes, the error stays
         shutil.rmtree(part, ignore_errors=True)
         raise

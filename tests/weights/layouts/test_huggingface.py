@@ -42,7 +42,10 @@ def pixels(*size: int, seed: int = 0) -> torch.Tensor:
 def ours(theirs: ZoeDepthForDepthEstimation) -> ZoeDepth:
     """Our model of their weights."""
     config, weights, table = huggingface.read(theirs.state_dict(), theirs.config.to_dict(), layout=5)
-    name_in_file = lambda name: "/".join(table.theirs(name))  # noqa: E731
+
+    def name_in_file(name: str) -> str:
+        return "/".join(table.theirs(name))
+
     return model_of(Checkpoint(config, weights, "huggingface", name_in_file), source="twin")
 
 
