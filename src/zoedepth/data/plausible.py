@@ -33,6 +33,7 @@ _BAND = 0.1  # part of the range below the largest value, in which it is compare
 _TIMES = 5  # as many pixels as other values have there: then it is not merely the end of a slope
 _FAR, _HALL = 5.0, 20.0  # times as far as nearly all others, and farther than a hall is long: certainly no depth
 _MOST_NAMED = 5
+_KEPT = 2000  # values of a map
 
 
 @dataclass(frozen=True)
@@ -51,11 +52,11 @@ class Glance:
     """A part of the known depth, evenly spread over the map."""
 
 
-def glance(name: str, domain: str, depth: Float[np.ndarray, " known"], *, most: int = 2000) -> Glance:
-    """Look at the known depth of a map, and keep up to about ``most`` of its values."""
+def glance(name: str, domain: str, depth: Float[np.ndarray, " known"]) -> Glance:
+    """Look at the known depth of a map, and keep about 2,000 of its values, or all where there are fewer."""
     greatest = float(depth.max()) if depth.size else 0.0
     return Glance(
-        name, domain, depth.size, greatest, int((depth == greatest).sum()), depth[:: max(1, depth.size // most)]
+        name, domain, depth.size, greatest, int((depth == greatest).sum()), depth[:: max(1, depth.size // _KEPT)]
     )
 
 

@@ -32,12 +32,11 @@ def is_address(text: str) -> bool:
     )
 
 
-def open_store(address: str, *, asks_for: str = "") -> tuple[Any, str]:
+def open_store(address: str) -> tuple[Any, str]:
     """Return the store that an address names, by fsspec, and the path in it.
 
     Args:
         address: e.g. "s3://bucket/photos".
-        asks_for: the thing that needs it, for the message.
 
     Raises:
         InputError: there is no such kind of address.
@@ -46,14 +45,14 @@ def open_store(address: str, *, asks_for: str = "") -> tuple[Any, str]:
     try:
         import fsspec
     except ModuleNotFoundError as error:
-        raise MissingExtraError("cloud", asks_for or address) from error
+        raise MissingExtraError("cloud", address) from error
     try:
         return fsspec.core.url_to_fs(address, **_options(address))
     except ValueError as error:
         raise InputError(f"{address}: {error}. Known are s3://, gs://, https:// and others of fsspec") from error
     except ImportError as error:
         library = (error.name or str(error)).partition(".")[0]
-        raise MissingExtraError(OPTIONAL.get(library, "cloud"), asks_for or address) from error
+        raise MissingExtraError(OPTIONAL.get(library, "cloud"), address) from error
 
 
 def _options(address: str) -> dict[str, object]:
