@@ -1,13 +1,14 @@
 """What all tests share: a model small enough to run in milliseconds, and how fuzz tests choose their examples."""
 
 import gc
+import os
 import signal
 from collections.abc import Iterator
 
 import jaxtyping
 import pytest
-import torch
 from hypothesis import settings
+from tests.models import random_model
 from torch.utils.data._utils import signal_handling
 
 from zoedepth.config import (
@@ -31,8 +32,10 @@ gc.disable()
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let tests predict pictures of one colour: they know that nothing can be seen in them."""
+    """Let tests predict pictures of one colour, in which nothing can be seen, as they know, and reach their servers."""
     config.addinivalue_line("filterwarnings", "ignore::zoedepth.errors.InputWarning")
+    # Servers of tests are on this machine, where a proxy that the environment names cannot reach them.
+    os.environ["no_proxy"] = os.environ["NO_PROXY"] = "127.0.0.1,localhost"
 
 
 def pytest_collection_finish() -> None:
@@ -84,17 +87,8 @@ def tiny_config() -> ModelConfig:
 
 @pytest.fixture
 def tiny_model(tiny_config: ModelConfig) -> ZoeDepth:
-    """A random model of ``tiny_config``, the same in every test, in evaluation mode.
-
-    Its weights are twice as large as they begin: a new model gives nearly the same depth everywhere.
-    """
-    with torch.random.fork_rng(), torch.no_grad():
-        torch.manual_seed(0)
-        model = ZoeDepth(tiny_config).eval()
-        for weight in model.parameters():
-            if weight.ndim > 1:
-                weight.mul_(2)
-    return model
+    """A random model of ``tiny_config``, the same in every test, in evaluation mode."""
+    return random_model(tiny_config)
 
 
 @pytest.fixture

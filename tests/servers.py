@@ -12,6 +12,9 @@ from threading import Event, Thread
 from typing import Any, TypeVar
 from urllib.parse import unquote, urlsplit
 
+PATIENCE = 300
+"""Seconds: longer than anything takes that a test waits for, on however busy a machine."""
+
 AnyServer = TypeVar("AnyServer", bound="LocalServer")
 
 

@@ -154,12 +154,21 @@ class TestCalibrate:
             with pytest.raises(InputError, match="calibrated already"):
                 again()
 
-    @pytest.mark.parametrize("reading", [(60, 5, 2.0), (10, -1, 2.0), (10, 5, 0.0), (10, 5, math.nan), (20, 5, 2.0)])
-    def test_readings_that_tell_nothing_are_refused(self, reading: tuple[float, float, float]) -> None:
+    @pytest.mark.parametrize(
+        ("reading", "message"),
+        [
+            ((60, 5, 2.0), "lies outside of the photo, which has columns 0 to 59 and rows 0 to 39"),
+            ((10, -1, 2.0), "lies outside of the photo"),
+            ((10, 5, 0.0), "must be above 0 and finite, in metres"),
+            ((10, 5, math.nan), "must be above 0 and finite, in metres"),
+            ((20, 5, 2.0), "is at a pixel without valid depth"),
+        ],
+    )
+    def test_readings_that_tell_nothing_are_refused(self, reading: tuple[float, float, float], message: str) -> None:
         """The last one lies at a pixel without depth."""
         result = wall()
         result.depth[5, 20] = np.nan
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=message):
             result.calibrate([reading])
 
 

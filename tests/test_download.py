@@ -19,7 +19,7 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from tests.servers import FileServer
+from tests.servers import PATIENCE, FileServer
 
 from zoedepth.download import TIMEOUT, cache_home, download, version_of
 from zoedepth.errors import InputError
@@ -265,8 +265,8 @@ def test_interrupted_process_leaves_its_part_and_no_lock(server: FileServer, pat
     server.stop_after, server.stall = 200_000, Event()
     code = "import pathlib, sys, zoedepth.download as d; d.download(sys.argv[1], pathlib.Path(sys.argv[2]))"
     process = subprocess.Popen([sys.executable, "-c", code, server.url, path], stderr=subprocess.DEVNULL)
-    part, patience = path.with_name(f"{path.name}.part"), time.monotonic() + 30
-    while not (part.exists() and part.stat().st_size) and time.monotonic() < patience:
+    part, deadline = path.with_name(f"{path.name}.part"), time.monotonic() + PATIENCE
+    while not (part.exists() and part.stat().st_size) and time.monotonic() < deadline:
         time.sleep(0.005)
     process.send_signal(number)
     assert process.wait() != 0  # -number, but for an interrupt that Python meets while it handles another exception

@@ -207,8 +207,11 @@ def test_baselines_of_kitti_reach_80_metres_by_compat():
     assert isinstance(config, BaselineConfig)
     assert config.network == BASELINES["adabins-k"].network
     assert config.domains == BASELINES["adabins-k"].domains
-    for other in ("batch-vote", "10m"):
-        with pytest.raises(InputError):
+    for other, message in (
+        ("batch-vote", "'batch-vote' is for models whose trained router"),
+        ("10m", "'10m' is for ZoeD-K"),
+    ):
+        with pytest.raises(InputError, match=message):
             with_compat(BASELINES["adabins-n"], [other])
 
 

@@ -112,6 +112,10 @@ class TestInterface:
         pixels = torch.from_numpy(np.array(image)).permute(2, 0, 1)[None] / 255
         with torch.no_grad():
             np.testing.assert_allclose(depth, interface.infer(pixels)[0, 0].numpy(), rtol=1e-6)
+            for pad, flip in ((True, False), (False, True)):
+                expected = interface.infer(pixels, pad, flip)[0, 0].numpy()
+                np.testing.assert_allclose(interface.infer_pil(image, pad, flip), expected, rtol=1e-5)
+                assert not np.allclose(depth, expected, rtol=1e-4), "the options change nothing here"
         tensor = interface.infer_pil(image, output_type="tensor")
         assert isinstance(tensor, torch.Tensor)
         np.testing.assert_allclose(tensor.numpy(), depth, rtol=1e-6)

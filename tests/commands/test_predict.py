@@ -8,7 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NoReturn
@@ -18,11 +18,13 @@ import pytest
 import torch
 from PIL import Image
 
+from zoedepth.batch import Request
 from zoedepth.calibration import Calibration, write_calibration
 from zoedepth.cli import main
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.geometry.lens import Lens
+from zoedepth.jobs.work import Done, Input, do_photo
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS
 from zoedepth.predict import Predictor
@@ -166,6 +168,7 @@ class TestOptions:
             (["--save", "depth,exe"], "'exe'"),
             (["--max-triangles", "-1"], "--max-triangles"),
             (["--workers", "-1"], "--workers must be 1 or more"),
+            (["--address", "auto"], "--address is that of a Ray cluster: give --engine ray, too"),
             (["--relative", "--domain", "indoor"], "no metres"),
             (["--relative", "--png-scale", "256"], "no metres"),
             (["--relative", "--vmax", "3"], "no metres"),
@@ -235,8 +238,13 @@ class TestOptions:
         assert "1 of 2 photos written, 1 failed" in capsys.readouterr().err
         monkeypatch.setattr("zoedepth.weights.load.load_model", None)
         assert predict(photo, out=tmp_path) == 2
-        assert "photo.json is not from zoedepth and would be replaced" in capsys.readouterr().err
-        assert (tmp_path / "photo.json").read_text() == '{"shapes": []}'
+        printed = capsys.readouterr().err
+        assert "photo.json is not from zoedepth and would be replaced" in printed
+        assert "So it is with all" not in printed
+        (tmp_path / "other.json").write_text('{"shapes": []}')
+        assert predict(photo, other, out=tmp_path) == 2
+        assert "So it is with all 2 photos" in capsys.readouterr().err
+        assert {(tmp_path / f"{name}.json").read_text() for name in ("photo", "other")} == {'{"shapes": []}'}
 
     def test_out_must_be_a_folder(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert predict(photo, out=photo) == 2
@@ -425,6 +433,58 @@ class TestFast:
     ) -> None:
         assert predict(photo, "--fast", *options, out=tmp_path / "out") == 2
         assert options[0] in capsys.readouterr().err
+
+
+class TestRay:
+    """The engine ray: ``tests/jobs/test_ray_engine.py`` tests the work itself."""
+
+    @pytest.fixture
+    def told(self, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+        """In the place of Ray this process does the photos; returns what Ray would have been told."""
+        kept: dict[str, Any] = {}
+
+        def run(inputs: Iterable[Input], predictor: Predictor, request: Request, **options: Any) -> Iterator[Done]:
+            kept.update(options, on=predictor.model.device.type, files=request.names)
+            for photo in inputs:
+                done = do_photo(photo, predictor, request, options["destination"])
+                options["manifest"].add(done.entry)
+                options["tally"].count(done)
+                yield done
+
+        monkeypatch.setattr("zoedepth.jobs.ray_engine.run_on_ray", run)
+        return kept
+
+    @pytest.mark.parametrize(
+        ("n_photos", "options", "expected"),
+        [
+            (2, [], ("zoed-lite", "auto", None, None, False, False)),
+            (2, ["--json"], ("zoed-lite", "auto", None, None, False, True)),
+            (1, ["--workers", "0"], ("zoed-lite", "auto", None, None, False, True)),
+            (2, ["--model", "m.pt", "--device", "cuda", "--workers", "3", "--address", "head:6379", "--overwrite"],
+             ("m.pt", "cuda", 3, "head:6379", True, False)),
+        ],
+    )  # fmt: skip
+    def test_all_that_it_needs_arrives_and_its_results_are_told(
+        self, tmp_path: Path, told: dict[str, Any], capsys: pytest.CaptureFixture[str], n_photos: int,
+        options: list[str], expected: tuple[object, ...],
+    ) -> None:  # fmt: skip
+        photos = [write_photo(tmp_path / f"{index}.png") for index in range(n_photos)]
+        command = [*photos, "--no-flip", "--save", "npy", "--engine", "ray", *options]
+        assert predict(*command, out=tmp_path / "out") == 0
+        asked = ("model", "device", "workers", "address", "overwrite", "tell_done")
+        assert tuple(told[name] for name in asked) == expected
+        assert (told["on"], told["files"]) == ("cpu", ("npy",)), "the actors have the GPUs"
+        assert f"{n_photos} of {n_photos} photos written" in capsys.readouterr().err
+        assert {name for name in names(tmp_path / "out") if name.endswith(".npy")} == {
+            f"{photo.stem}_depth.npy" for photo in photos
+        }
+
+    def test_a_stream_is_refused(
+        self, photo: Path, told: dict[str, Any], capsysbinary: pytest.CaptureFixture[bytes]
+    ) -> None:
+        assert predict(photo, "--engine", "ray", out=Path("-")) == 2
+        assert b"--out - is for one photo: leave --engine out" in capsysbinary.readouterr().err
+        assert told == {}
 
 
 class TestWhatItSays:

@@ -17,6 +17,7 @@ from zoedepth.errors import InputError
 from zoedepth.presets import ENCODERS
 from zoedepth.recipes import RECIPES
 from zoedepth.train.config import FinetuneOptions, SourceConfig, TrainConfig
+from zoedepth.train.finetune import Plan
 from zoedepth.weights.load import load_model
 
 
@@ -184,6 +185,24 @@ def test_typed_again_the_run_goes_on_and_with_other_values_it_is_refused(
     assert "Files of the data, or what is said of them, have changed since" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("stage", ["metric", "relative"])
+@pytest.mark.parametrize(("options", "expected"), [([], (None, 1)), (["--devices", "2", "--nodes", "3"], (2, 3))])
+def test_processes_and_machines_arrive(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str,
+    options: list[str], expected: tuple[int | None, int],
+) -> None:  # fmt: skip
+    tiny_recipe(stage)
+    asked = []
+
+    def train_stage(config: TrainConfig, *, out: Path, devices: int | None, n_nodes: int, **_: object) -> Path:
+        asked.append((config.stage, devices, n_nodes))
+        return out
+
+    monkeypatch.setattr(f"zoedepth.train.{stage}.train_{stage}", train_stage)
+    assert main(["train", "tiny", "--data", "indoor=a", "--out", str(tmp_path / "out"), *options]) == 0
+    assert asked == [(stage, *expected)]
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"]])
 def test_help_lists_the_recipes(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", *arguments]) == 0
@@ -321,6 +340,24 @@ class TestFinetune:
         data = {"a": "a/list.csv", "more": "b"}
         changed = FinetuneOptions("zoed-m12-n", "attic", 500.0, "full", 3, 7, 5, 0.5, 9, root="c")
         assert asked == [(data, FinetuneOptions()), (data, changed)]
+
+    @pytest.mark.parametrize(("options", "expected"), [([], (None, 1)), (["--devices", "2", "--nodes", "3"], (2, 3))])
+    def test_processes_and_machines_arrive(
+        self, tiny_recipe: Callable[[str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str],
+        expected: tuple[int | None, int],
+    ) -> None:  # fmt: skip
+        tiny_recipe("metric")
+        planned, asked = Plan(RECIPES["tiny"](), {}, {}, {}, "zoed-lite", (), ()), []
+
+        def finetune(plan: Plan, *, out: Path, devices: int | None, n_nodes: int) -> dict[str, object]:
+            asked.append((plan, out, devices, n_nodes))
+            return {}
+
+        monkeypatch.setattr("zoedepth.train.finetune.plan", lambda *_, **__: planned)
+        monkeypatch.setattr("zoedepth.train.finetune.finetune", finetune)
+        out = tmp_path / "out"
+        assert main(["train", "finetune", "--data", "a", "--out", str(out), *options]) == 0
+        assert asked == [(planned, out, *expected)]
 
     def test_help_shows_first_what_is_needed_most(self, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):

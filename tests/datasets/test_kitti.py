@@ -85,3 +85,24 @@ def test_a_bad_list_is_an_error(tmp_path: Path, line: str):
     (tmp_path / "kitti_eigen_train_files_with_gt.txt").write_text(line + "\n")
     with pytest.raises(InputError, match=r"must name a photo and its depth|leads out of"):
         KITTI(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("P_rect_02", "P_02", "calib_cam_to_cam.txt has no P_rect of image_02: unpack the calibration again"),
+        ("6.095593e+02", "right", "P_rect_02 is not a matrix of 12 numbers .*right"),
+        (
+            CALIBRATION.partition("P_rect_02: ")[2].partition("\n")[0],
+            "1 0 3",
+            "P_rect_02 is not a matrix of 12 numbers",
+        ),
+    ],
+    ids=["missing", "a word", "cut off"],
+)
+def test_a_calibration_that_does_not_say_the_camera_is_an_error(tmp_path: Path, old: str, new: str, message: str):
+    write_kitti(tmp_path, "train")
+    assert old in CALIBRATION
+    (tmp_path / "2011_09_26/calib_cam_to_cam.txt").write_text(CALIBRATION.replace(old, new))
+    with pytest.raises(InputError, match=message):
+        KITTI(tmp_path)[0]

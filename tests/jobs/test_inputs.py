@@ -186,6 +186,14 @@ class TestLists:
         assert list(sources.inputs()) == []
         assert "cannot be read to its end" in sources.found.failures[0]
 
+    def test_a_parquet_file_without_its_library_is_an_error_that_names_the_extra(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        (tmp_path / "a.parquet").touch()
+        monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+        with pytest.raises(ImportError, match=r"a\.parquet, a Parquet file, needs the extra \[cloud\]"):
+            found(tmp_path / "a.parquet")
+
 
 class TestArchives:
     OTHERS = {"notes.txt": b"1", ".hidden.png": b"1", "__MACOSX/a.png": b"1"}  # noqa: RUF012
@@ -262,6 +270,12 @@ class TestArchives:
             assert (len(first), all_known) == (n_first, n_first == 9)
             assert len(first) + len(list(inputs)) == 9
         assert listing.begin(iter(first), 9) == (first, False)
+
+    @pytest.mark.parametrize("ending", ["tar", "tar.gz"])
+    def test_members_of_a_tar_file_are_not_counted_first(self, folder: Path, tmp_path: Path, ending: str) -> None:
+        archive = write_tar(tmp_path / f"a.{ending}", members(folder), "w:gz" if ending.endswith("gz") else "w")
+        with pytest.raises(InputError, match="the members of a tar file are not counted first"):
+            Sources((str(folder), str(archive))).count()
 
 
 class TestStores:

@@ -1,11 +1,11 @@
 """The lock: one command at a time; one that was killed locks nobody out."""
 
+import errno
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import filelock
 import pytest
 
 from zoedepth.errors import InputError
@@ -44,18 +44,25 @@ def test_two_manifests_of_a_folder_are_no_matter(tmp_path: Path) -> None:
         pass
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has locks of another kind, on every file system")
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
 def test_where_the_file_system_knows_no_locks_a_file_stands_for_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    def unsupported(*_: object, **__: object) -> None:
-        raise NotImplementedError("FileSystem does not appear to support flock")  # as filelock raises it, word for word
+    import fcntl
 
-    monkeypatch.setattr(filelock.FileLock, "acquire", unsupported)
-    manifest = tmp_path / "m.jsonl"
-    with only_one(manifest), pytest.raises(InputError, match=r"delete .*held"), only_one(manifest):
-        pass
-    with only_one(manifest):  # given back
-        assert str(os.getpid()) in this_process()
+    def unsupported(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", unsupported)
+    manifest, stand_in = tmp_path / "m.jsonl", tmp_path / "m.jsonl.held"
+    for _ in range(2):  # it is given back
+        with only_one(manifest):
+            assert stand_in.is_file()
+            with pytest.raises(InputError, match=r"delete .*m\.jsonl\.held"), only_one(manifest):
+                pass
+            assert stand_in.is_file()
+        assert not stand_in.exists()
 
 
 def test_a_folder_that_cannot_be_written_to(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """The place of a job: a folder with a manifest and its lock, a store, or a stream's, which keeps none."""
 
+import errno
 from pathlib import Path
 
 import pytest
+from fsspec.implementations.memory import MemoryFileSystem
 
 from zoedepth.errors import InputError
 from zoedepth.jobs.destinations import LocalFolder
@@ -36,6 +38,15 @@ def test_a_store_that_has_something_is_looked_at_before_it_is_written_to() -> No
     with job_place("memory://place/out", JobShard()).opened() as manifest:
         manifest.begin({}, named=False)
     assert job_place("memory://place/out", JobShard()).destination == Store("memory://place/out", fresh=False)
+
+
+def test_a_store_that_cannot_be_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: object, **__: object) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(MemoryFileSystem, "exists", forbidden)
+    with pytest.raises(InputError, match=r"--out memory://a/out cannot be looked at \(Permission denied\)"):
+        job_place("memory://a/out", JobShard())
 
 
 @pytest.mark.parametrize(("out", "message"), [("https://a.org/out", "nothing can be written"), ("xyz://a", "xyz")])

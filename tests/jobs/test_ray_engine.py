@@ -27,13 +27,15 @@ from zoedepth.weights.releases import ASSETS
 REQUEST = Request("tiny", ("npy",))
 
 
-def on_ray(sources: Sources, out: Path, predictor: Predictor, **options: bool) -> tuple[list[Done], Tally]:
+def on_ray(
+    sources: Sources, out: Path, predictor: Predictor, *, address: str | None = "local", **options: bool
+) -> tuple[list[Done], Tally]:
     tally, place = Tally(), job_place(out, JobShard())
     with place.opened() as manifest:
         manifest.begin({}, named=False)
         results = run_on_ray(
             sources.inputs(), predictor, REQUEST, model="tiny", device="cpu", manifest=manifest,
-            destination=place.destination, workers=1, address="local", tally=tally, **options,
+            destination=place.destination, workers=1, address=address, tally=tally, **options,
         )  # fmt: skip
         return list(results), tally
 
@@ -118,3 +120,25 @@ def test_a_ray_of_a_busy_machine_is_started_again(
     with expected:
         on_ray(Sources((str(tmp_path / "a.png"),)), tmp_path / "out", Predictor(tiny_model))
     assert len(started) == 3
+
+
+@pytest.mark.parametrize("error", [ConnectionError, RuntimeError, ValueError])
+@pytest.mark.parametrize(("address", "variable"), [("head:6379", "other:6379"), (None, "head:6379")])
+def test_a_cluster_that_does_not_answer_is_named(
+    tmp_path: Path, tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch, error: type[Exception],
+    address: str | None, variable: str,
+) -> None:  # fmt: skip
+    ray = pytest.importorskip("ray", reason="the extra [ray] is not installed")
+    asked: list[str] = []
+
+    def connect(where: str, **_: object) -> None:
+        asked.append(where)
+        raise error("nobody is there")
+
+    monkeypatch.setattr(ray, "init", connect)
+    monkeypatch.setenv("RAY_ADDRESS", variable)
+    write_photo(tmp_path / "a.png")
+    message = r"^--address head:6379: no Ray cluster answers there \(nobody is there\)"
+    with pytest.raises(InputError, match=message):
+        on_ray(Sources((str(tmp_path / "a.png"),)), tmp_path / "out", Predictor(tiny_model), address=address)
+    assert asked == ["head:6379"]

@@ -39,7 +39,7 @@ class TestEveryOutput:
     def test_refuses_what_it_cannot_be_made_of_and_leaves_nothing(self, output: Output, tmp_path: Path) -> None:
         for name in ALL.keys() - set(output.maps) | {None}:
             maps = Maps(**({name: ALL[name]} if name else {}), image=IMAGE, camera=CAMERA)
-            with pytest.raises(InputError):
+            with pytest.raises(InputError, match=rf"needs '({'|'.join(output.maps)})'|there is no map to write to"):
                 output.write(tmp_path / f"photo{output.ending}", maps, Options())
         assert files(tmp_path) == []
 

@@ -3,11 +3,10 @@
 from collections.abc import Iterator
 
 import pytest
-import torch
+from tests.models import random_model
 from tests.serve.running import Client, running
 
 from zoedepth.config import ModelConfig
-from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
 from zoedepth.serve.settings import Limits, Settings
 from zoedepth.weights.load import load_model
@@ -17,12 +16,7 @@ from zoedepth.weights.save import save_model
 @pytest.fixture(scope="session")
 def model_file(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFactory) -> str:
     """A file of a tiny random model, called tiny."""
-    with torch.random.fork_rng(), torch.no_grad():
-        torch.manual_seed(0)
-        model = ZoeDepth(tiny_config).eval()
-        for weight in model.parameters():
-            if weight.ndim > 1:
-                weight.mul_(2)
+    model = random_model(tiny_config)
     path = tmp_path_factory.mktemp("serve") / "tiny.safetensors"
     save_model(model, path)
     return str(path)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import uvicorn
 from PIL import Image
+from tests.servers import PATIENCE
 
 from zoedepth.serve.app import Service, create_app
 from zoedepth.serve.server import bind, make_config
@@ -60,7 +61,7 @@ class Client:
     ) -> Answer:
         """Send a request; a body alone is a photo of a kind that nobody says."""
         kind = {} if body is None else {"Content-Type": "application/octet-stream"}
-        connection = HTTPConnection("127.0.0.1", self.port, timeout=20)
+        connection = HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE)
         try:
             connection.request(method or ("GET" if body is None else "POST"), path, body, {**kind, **(headers or {})})
             return read(connection.getresponse())
@@ -74,7 +75,7 @@ class Client:
 
     def connect(self) -> socket.socket:
         """Open a connection, to send bytes one by one."""
-        return socket.create_connection(("127.0.0.1", self.port), timeout=20)
+        return socket.create_connection(("127.0.0.1", self.port), timeout=PATIENCE)
 
 
 @contextmanager

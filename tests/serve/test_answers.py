@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tests.serve.running import read_maps
@@ -5,7 +7,7 @@ from tests.serve.running import read_maps
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.camera import Camera
 from zoedepth.outputs import OUTPUTS, Options
-from zoedepth.serve.answers import FORMATS, NAMES, about, choose_format, encode, memory_folder
+from zoedepth.serve.answers import FORMATS, NAMES, about, choose_format, encode
 from zoedepth.serve.photos import Decoded
 from zoedepth.serve.problems import Problem
 
@@ -38,22 +40,23 @@ def test_maps_of_any_size_are_aligned_and_whole(height: int, width: int, std: bo
     assert header["notes"] == ["it is dark"]
 
 
-def test_no_file_is_left_behind() -> None:
-    from pathlib import Path
-
-    folder = Path(memory_folder() or "/tmp")
-    before = {path for path in folder.iterdir() if path.name.startswith("zoedepth-")}
+def test_no_file_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("zoedepth.serve.answers.memory_folder", lambda: str(tmp_path))
     encode(depth_map(3, 5), PHOTO, FORMATS["depth"], Options(), model="m")
     broken = depth_map(3, 5)
-    object.__setattr__(broken, "maps", _Full())
+    object.__setattr__(broken, "maps", _Full(tmp_path))
     with pytest.raises(OSError, match="full"):
         encode(broken, PHOTO, FORMATS["depth"], Options(), model="m")
-    assert {path for path in folder.iterdir() if path.name.startswith("zoedepth-")} <= before
+    assert list(tmp_path.iterdir()) == []
 
 
 class _Full:
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
     @property
     def depth(self) -> None:
+        assert list(self._folder.iterdir()) != []  # it is written here
         raise OSError(28, "full")
 
 
@@ -66,7 +69,7 @@ def test_the_most_wanted_format_is_chosen_first() -> None:
     assert choose_format("jpg", "application/json").name == "preview"
     assert choose_format(None, "application/json;q=0.2, image/tiff;q=0.9").name == "tiff"
     assert choose_format(None, "image/webp, image/*").name == "depth"
-    with pytest.raises(Problem):
-        choose_format(None, "application/json;q=0")
-    with pytest.raises(Problem):
-        choose_format(None, "text/csv;q=x")
+    for accept in ("application/json;q=0", "text/csv;q=x"):
+        with pytest.raises(Problem, match="Accept names no format") as caught:
+            choose_format(None, accept)
+        assert caught.value.kind == "not-acceptable"

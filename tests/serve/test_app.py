@@ -276,4 +276,4 @@ def test_models_are_loaded_when_that_is_asked_for(model_file: str) -> None:
 def test_options_have_the_defaults_of_the_command_line() -> None:
     from zoedepth.serve.schemas import DepthQuery
 
-    assert DepthQuery().options() == Options()  # pyright: ignore[reportCallIssue]
+    assert DepthQuery().options() == Options()

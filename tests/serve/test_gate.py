@@ -11,7 +11,7 @@ Gone = asyncio.Future[None]
 
 def play(game: Callable[[], Awaitable[None]]) -> None:
     """Run a test in an event loop of its own."""
-    asyncio.run(game())  # pyright: ignore[reportArgumentType]
+    asyncio.run(game())
 
 
 def here() -> Gone:

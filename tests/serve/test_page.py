@@ -19,18 +19,17 @@ from zipfile import ZipFile
 
 import numpy as np
 import pytest
-import torch
 import trimesh
 import uvicorn
 from PIL import Image
 from plyfile import PlyData
 from tests import browsers
 from tests.browsers import LONGEST, needs_browser
+from tests.models import random_model
 
 from zoedepth import read_depth, save_model
 from zoedepth.colors import colorize
 from zoedepth.config import ModelConfig
-from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.serve.app import create_app
 from zoedepth.serve.page_files import FOLDER, read_page
 from zoedepth.serve.server import bind
@@ -128,12 +127,7 @@ class Visit:
 def service_url(tiny_config: ModelConfig, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """Serve a random model that knows its focal length, and puts far apart what it sees."""
     domains = tuple(replace(domain, focal_px=70.0) for domain in tiny_config.domains)
-    with torch.random.fork_rng(), torch.no_grad():
-        torch.manual_seed(0)
-        model = ZoeDepth(replace(tiny_config, domains=domains)).eval()
-        for weight in model.parameters():
-            if weight.ndim > 1:
-                weight.mul_(2)
+    model = random_model(replace(tiny_config, domains=domains))
     file = tmp_path_factory.mktemp("model") / "tiny.safetensors"
     save_model(model, file)
     settings = Settings(models=(str(file),), threads=1)

@@ -6,6 +6,7 @@ from contextlib import suppress
 
 import pytest
 from tests.serve.running import Client, running
+from tests.servers import PATIENCE
 
 from zoedepth.serve.settings import Limits, Settings
 
@@ -43,9 +44,10 @@ def test_a_client_that_does_not_take_its_answer_is_cut_off(model_file: str) -> N
         connection.connect(("127.0.0.1", client.port))
         page = b"GET /three.min.js HTTP/1.1\r\nHost: localhost\r\n\r\n"
         connection.sendall(page * 40)  # more than the buffers of the system hold
-        deadline = time.monotonic() + 120
+        deadline = time.monotonic() + PATIENCE
         while client.n_connections == 0:  # until it is there
             assert time.monotonic() < deadline
+            time.sleep(0.01)
         while client.n_connections:  # and until it is cut off
             assert time.monotonic() < deadline
             time.sleep(0.01)

@@ -39,11 +39,15 @@ def test_one_camera_can_be_said(given: dict, camera: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "given",
-    [{"camera": "exif", "fov_x": 60}, {"fov_x": 60, "fov_y": 60}, {"intrinsics": "0,500,1,1"}],
+    ("given", "told"),
+    [
+        ({"camera": "exif", "fov_x": 60}, "camera and fov_x each say the camera"),
+        ({"fov_x": 60, "fov_y": 60}, "fov_x and fov_y each say the camera"),
+        ({"intrinsics": "0,500,1,1"}, "focal lengths of intrinsics must be above 0"),
+    ],
 )
-def test_several_cameras_or_none_at_all_are_refused(given: dict) -> None:
-    with pytest.raises(InputError):
+def test_several_cameras_or_none_at_all_are_refused(given: dict, told: str) -> None:
+    with pytest.raises(InputError, match=told):
         query(**given).wanted()
 
 
@@ -53,8 +57,9 @@ def test_several_cameras_or_none_at_all_are_refused(given: dict) -> None:
      {"intrinsics": "1e9,1,1,1"}, {"camera": "/etc/passwd"}, {"unknown": 1}, {"flip": "1"}],
 )  # fmt: skip
 def test_values_that_nothing_can_have_are_invalid(given: dict) -> None:
-    with pytest.raises(ValidationError):
+    with pytest.raises(ValidationError) as caught:
         query(**given)
+    assert [error["loc"] for error in caught.value.errors()] == [tuple(given)]
 
 
 def test_the_smallest_and_widest_lens_make_a_camera() -> None:

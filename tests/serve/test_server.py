@@ -1,7 +1,10 @@
+import errno
 import logging
+import os
 import socket
 
 import pytest
+from tests.servers import PATIENCE
 
 from zoedepth.errors import InputError
 from zoedepth.serve.app import create_app
@@ -13,16 +16,28 @@ from zoedepth.serve.settings import Limits, Settings
 def test_a_socket_listens_at_the_address_alone() -> None:
     with bind("127.0.0.1", 0) as listener:
         assert listener.getsockname()[0] == "127.0.0.1"
-        with socket.create_connection(listener.getsockname(), timeout=5):
+        with socket.create_connection(listener.getsockname(), timeout=PATIENCE):
             pass
         with pytest.raises(InputError, match="--port"):
             bind("127.0.0.1", listener.getsockname()[1])
 
 
-@pytest.mark.parametrize(("host", "port"), [("999.0.0.1", 0), ("192.0.2.1", 0)])
-def test_an_address_that_is_not_here_is_refused(host: str, port: int) -> None:
-    with pytest.raises(InputError, match="--host"):
-        bind(host, port)
+def test_a_name_of_no_address_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(InputError, match=r"999\.0\.0\.1:0 is no address .*not known.* --host"):
+        bind("999.0.0.1", 0)
+
+
+def test_an_address_of_another_machine_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def elsewhere(*_: object) -> None:
+        raise OSError(errno.EADDRNOTAVAIL, os.strerror(errno.EADDRNOTAVAIL))
+
+    monkeypatch.setattr(socket.socket, "bind", elsewhere)
+    with pytest.raises(InputError, match=r"cannot listen at 192\.0\.2\.1:0 .* --host"):
+        bind("192.0.2.1", 0)
 
 
 @pytest.mark.parametrize("port", [-1, 65_536, 70_000])

@@ -15,7 +15,7 @@ def test_defaults_are_those_that_the_documentation_promises() -> None:
 @pytest.mark.parametrize("value", [0, -1, float("inf"), float("nan")])
 def test_a_limit_must_be_above_0(name: str, value: float) -> None:
     with pytest.raises(InputError, match=name):
-        Limits(**{name: value})  # pyright: ignore[reportArgumentType]
+        Limits(**{name: value})
 
 
 def test_a_service_may_have_no_queue() -> None:

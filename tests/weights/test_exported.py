@@ -22,7 +22,7 @@ from onnx import TensorProto, helper
 from tests.weights.layouts.test_files import little_memory
 
 from zoedepth.config import to_dict
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.export import export_model
 from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
@@ -113,6 +113,24 @@ def test_foreign_and_broken_files_are_refused(tmp_path: Path):
         load_exported(Path(__file__))
     with pytest.raises(InputError, match="not made by zoedepth export"):
         load_exported(onnx_file(tmp_path / "foreign.onnx", metadata=None))
+
+
+@pytest.mark.parametrize(
+    ("module", "suffix", "message"),
+    [
+        ("onnxruntime", ".onnx", r"running an ONNX file needs the extra \[onnx\]"),
+        ("onnx", ".onnx", r"running an ONNX file needs the extra \[onnx\]"),
+        ("openvino", ".xml", r"running an OpenVINO file needs the extra \[openvino\]"),
+    ],
+)
+def test_a_runtime_that_is_not_installed_is_named(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str, suffix: str, message: str
+) -> None:
+    """Without onnx, a file of a stranger could not be looked through before it is run."""
+    path = file if suffix == ".onnx" else openvino_file(tmp_path / "model.xml", file)
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingExtraError, match=message):
+        load_exported(path)
 
 
 @pytest.mark.parametrize("metadata", ["{", "[1]", "{}", '{"config": 3}', '{"config": {}}', "[" * 10_000])

@@ -1,5 +1,6 @@
 """A lock on the manifest of a job, so that two commands do not do the same inputs."""
 
+import errno
 import os
 import socket
 from collections.abc import Iterator
@@ -7,6 +8,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from zoedepth.errors import InputError
+
+_NO_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}  # what file systems without locks answer
 
 
 def this_process() -> str:
@@ -38,12 +41,14 @@ def only_one(manifest: Path) -> Iterator[None]:
 
     path = lock_file(manifest)
     holder = _holder(path)  # before: filelock before version 4 empties the file when it asks for the lock
-    lock = FileLock(path, timeout=0)
+    lock = FileLock(path, timeout=0, fallback_to_soft=False)
     advice = "wait for it, stop it, give each command a --shard of its own, or choose another --out"
     try:
         try:
             lock.acquire()
-        except NotImplementedError:  # filelock's error for a file system without locks: a file stands for the lock
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
             path = path.with_suffix(".held")
             holder = _holder(path)
             lock = SoftFileLock(path, timeout=0)
