@@ -7,6 +7,14 @@ import numpy as np
 from PIL import Image
 
 
+def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) -> Path:
+    """Write a photo of noise, of (height, width), and return its path."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    noise = np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path)
+    return path
+
+
 def write_pairs(
     folder: Path,
     *,

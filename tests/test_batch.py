@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import ExifTags, Image
+from tests.folders import write_photo
 
 from zoedepth.batch import (
     Found,
@@ -63,13 +64,6 @@ class Brightness(Predictor):
 REQUEST = Request("brightness")
 CALIBRATION = Calibration(2.0, camera=Lens(fov_x=60).camera((12, 24)), readings=())
 SPHERE = b'<x:xmpmeta xmlns:x="adobe:ns:meta/" GPano:ProjectionType="equirectangular"/>'
-
-
-def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(path)
-    return path
 
 
 def write_sphere(path: Path, *, said: bool) -> Path:

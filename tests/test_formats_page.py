@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.pages import blocks
 
 from zoedepth.cli import main
 from zoedepth.outputs import OUTPUTS, Options
@@ -20,7 +21,7 @@ PAGE = (Path(__file__).parent.parent / "docs" / "formats.md").read_text(encoding
 
 def programs() -> list[str]:
     """Return the page's programs in Python whose libraries are installed."""
-    found = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    found = blocks(PAGE, "python")
     assert len(found) > 5
 
     def runs(program: str) -> bool:

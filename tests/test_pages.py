@@ -1,6 +1,5 @@
 """The commands and programs on pages of the documentation work as they stand."""
 
-import re
 import shlex
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from tests.geometry.test_exif import FILM_LENGTH, photo_of
+from tests.pages import blocks
 
 from zoedepth.calibration import is_calibrated, read_calibration
 from zoedepth.cli import main
@@ -17,13 +17,13 @@ from zoedepth.outputs.sidecar import read_sidecar
 DOCS = Path(__file__).parent.parent / "docs"
 
 
-def blocks(page: str, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), flags=re.DOTALL)
+def shown(page: str, language: str) -> list[str]:
+    return blocks((DOCS / page).read_text(encoding="utf-8"), language)
 
 
 def commands(page: str) -> list[list[str]]:
     """Return the words of each command of zoedepth on a page."""
-    lines = [line.split(" #")[0] for block in blocks(page, "bash") for line in block.splitlines()]
+    lines = [line.split(" #")[0] for block in shown(page, "bash") for line in block.splitlines()]
     return [shlex.split(line)[1:] for line in lines if line.startswith("zoedepth ")]
 
 
@@ -67,7 +67,7 @@ def test_cameras(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["numbers/photo.json"]["cx"] == 318.6
     assert told["again/a.json"] == told["wide/photo.json"]
     assert (told["file/a.json"]["fx"], told["colmap/a.json"]["cx"]) == (500, 319.5)
-    (program,) = blocks("cameras.md", "python")
+    (program,) = shown("cameras.md", "python")
     exec(program, {})
     assert capsys.readouterr().out.splitlines()[0].startswith("exif 67.")
 
@@ -80,7 +80,7 @@ def test_scale(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
         if "ray" not in words:
             options = ["--no-preview", "--no-flip"] if words[0] == "predict" else []
             assert main([*words, *options]) == 0, words
-    (program,) = blocks("scale.md", "python")
+    (program,) = shown("scale.md", "python")
     capsys.readouterr()
     exec(program, {})
     lines = capsys.readouterr().out.splitlines()
@@ -100,7 +100,7 @@ def test_calibration(workplace: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert read_calibration("camera.json").n_photos == 3
     assert is_calibrated(workplace / "depth" / "photo.json")
     assert not is_calibrated(workplace / "depth" / "photos" / "a.json")
-    (program,) = blocks("calibration.md", "python")
+    (program,) = shown("calibration.md", "python")
     capsys.readouterr()
     exec(program, {})
     scale, scale_error, expected_error = map(float, capsys.readouterr().out.splitlines()[0].split())

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.pages import blocks
 from tests.twins import KITTI, NYU, twin, twin_config
 
 from zoedepth.cli import main
@@ -17,12 +18,8 @@ ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", README, flags=re.DOTALL)
-
-
 def commands(program: str) -> list[str]:
-    lines = [line.split(" #")[0].strip() for block in blocks("bash") for line in block.splitlines()]
+    lines = [line.split(" #")[0].strip() for block in blocks(README, "bash") for line in block.splitlines()]
     return [line for line in lines if line.startswith(program + " ")]
 
 
@@ -63,7 +60,7 @@ def workplace(files: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_python(workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    predict, switch = blocks("python")
+    predict, switch = blocks(README, "python")
     exec(predict, {})
     depth, width = map(float, capsys.readouterr().out.split())
     assert depth > 0

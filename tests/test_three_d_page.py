@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from tests.pages import blocks
 
 import zoedepth
 from zoedepth.cli import main
@@ -49,7 +50,7 @@ def test_commands_make_the_files_that_are_promised() -> None:
 def test_program() -> None:
     pytest.importorskip("fast_simplification")
     names: dict[str, object] = {}
-    (program,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    (program,) = blocks(PAGE, "python")
     exec(program, names)
     around = names["around"]
     assert isinstance(around, PanoramaMap)

@@ -10,6 +10,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from PIL import Image
+from tests.models import random_model
 from tests.servers import FileServer
 
 from zoedepth import torchhub
@@ -42,14 +43,9 @@ def tiny(preset: str, tiny_config: ModelConfig) -> ModelConfig:
     )
 
 
-def random_model(config: ModelConfig) -> ZoeDepth:
-    with torch.random.fork_rng(), torch.no_grad():
-        torch.manual_seed(0)
-        model = ZoeDepth(config).eval().to(memory_format=torch.channels_last)  # as a loaded one
-        for weight in model.parameters():
-            if weight.ndim > 1:
-                weight.mul_(2)
-    return model
+def as_loaded(config: ModelConfig) -> ZoeDepth:
+    """Make a random model in the order of channels that a loaded one has."""
+    return random_model(config).to(memory_format=torch.channels_last)
 
 
 @pytest.fixture
@@ -85,7 +81,7 @@ def by_hand(model: ZoeDepth, x: torch.Tensor, *, pad: bool, flip: bool) -> torch
 class TestInterface:
     @pytest.fixture
     def model(self, tiny_config: ModelConfig) -> ZoeDepth:
-        return random_model(tiny("zoed-m12-n", tiny_config))
+        return as_loaded(tiny("zoed-m12-n", tiny_config))
 
     @pytest.mark.parametrize("pad", [True, False])
     @pytest.mark.parametrize("flip", [True, False])
@@ -175,7 +171,7 @@ class TestInterface:
         assert (x.grad != 0).any()
 
     def test_forward_returns_what_the_original_promises(self, tiny_config: ModelConfig):
-        interface = OriginalInterface(random_model(tiny_config))
+        interface = OriginalInterface(as_loaded(tiny_config))
         x = torch.rand(2, 3, 64, 64)
         with torch.no_grad():
             result = interface(x)
@@ -202,7 +198,7 @@ class TestInterface:
     def test_vote_of_a_batch_by_compat_is_that_of_the_photos_and_that_of_their_mirror_images(self, tiny_config):
         """The released code runs the two passes one after the other, each with its own vote."""
         voting = replace(tiny_config, router=replace(tiny_config.router, vote="batch"))
-        model = random_model(voting)
+        model = as_loaded(voting)
         x = torch.rand(3, 3, 64, 64, generator=torch.Generator().manual_seed(1))
         with torch.no_grad():
             expected = (model(x).depth + model(x.flip(3)).depth.flip(3)) / 2
@@ -219,7 +215,7 @@ class TestEntries:
 
     @pytest.mark.parametrize("entry", ENTRIES)
     def test_weights_from_a_file(self, entry: str, tiny_presets, tmp_path: Path):
-        model = random_model(tiny_presets[ENTRIES[entry]])
+        model = as_loaded(tiny_presets[ENTRIES[entry]])
         write_checkpoint(checkpoint_of(model), tmp_path / "model", to="zoedepth")
         for path in (str(tmp_path / "model"), f"local::{tmp_path / 'model'}"):
             loaded = torch.hub.load(str(REPO), entry, source="local", pretrained=path)
@@ -229,14 +225,14 @@ class TestEntries:
 
     def test_weights_of_another_kind_are_refused(self, tiny_presets, tmp_path: Path):
         """A K in the place of N would be 8 times too far."""
-        model = random_model(tiny_presets["zoed-m12-k"])
+        model = as_loaded(tiny_presets["zoed-m12-k"])
         write_checkpoint(checkpoint_of(model), tmp_path / "k.safetensors", to="zoedepth")
         with pytest.raises(InputError, match="is not a zoed-m12-n"):
             torch.hub.load(str(REPO), "ZoeD_N", source="local", pretrained=str(tmp_path / "k.safetensors"))
 
     def test_weights_from_a_url_are_fetched_once(self, tiny_presets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
-        model = random_model(tiny_presets["zoed-m12-n"])
+        model = as_loaded(tiny_presets["zoed-m12-n"])
         write_checkpoint(checkpoint_of(model), tmp_path / "n.safetensors", to="zoedepth")
         with FileServer((tmp_path / "n.safetensors").read_bytes()) as server:
             url = f"{server.url}/n.safetensors"

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from tests.folders import write_photo
 
 from zoedepth.batch import Request
 from zoedepth.calibration import Calibration, write_calibration
@@ -45,13 +46,6 @@ def asked(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> dict[str, ob
 @pytest.fixture
 def photo(tmp_path: Path) -> Path:
     return write_photo(tmp_path / "photo.png", size=(30, 40))
-
-
-def write_photo(path: Path, *, size: tuple[int, int] = (12, 16), seed: int = 0) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    noise = np.random.default_rng(seed).integers(0, 256, (*size, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(path)
-    return path
 
 
 def predict(*arguments: object, out: Path) -> int:

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.test_batch import Brightness, write_photo
+from tests.folders import write_photo
+from tests.test_batch import Brightness
 
 from zoedepth.batch import Request
 from zoedepth.jobs.inputs import Sources

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from tests.pages import blocks
 from tests.serve.running import Client, photo
 
 from zoedepth.commands.options import call
@@ -15,10 +16,6 @@ from zoedepth.serve.problems import KINDS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "serve.md").read_text(encoding="utf-8")
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", PAGE, flags=re.DOTALL)
 
 
 def test_every_problem_is_told_with_its_status() -> None:
@@ -46,7 +43,7 @@ def test_every_option_that_is_told_is_one(capsys: pytest.CaptureFixture[str]) ->
 def test_curl(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("photo.jpg").write_bytes(photo(544, 244, format="JPEG"))
-    lines = [line for block in blocks("bash") for line in block.splitlines() if line.startswith("curl ")]
+    lines = [line for block in blocks(PAGE, "bash") for line in block.splitlines() if line.startswith("curl ")]
     assert len(lines) == 5
     for line in lines:
         words = shlex.split(line)[1:]
@@ -75,7 +72,7 @@ def test_python(
     pytest.importorskip("requests")
     monkeypatch.chdir(tmp_path)
     Path("photo.jpg").write_bytes(photo(64, 48, format="JPEG"))
-    send, make = blocks("python")
+    send, make = blocks(PAGE, "python")
     exec(send.replace(":8000", f":{client.port}"), {})
     median, source = capsys.readouterr().out.split()
     assert float(median) > 0

@@ -13,13 +13,6 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.weights.fit import misfits
 from zoedepth.weights.load import load_model
-from zoedepth.weights.save import save_model
-
-
-@pytest.fixture
-def file(tiny_model: ZoeDepth, tmp_path: Path) -> Path:
-    save_model(tiny_model, tmp_path / "model.safetensors")
-    return tmp_path / "model.safetensors"
 
 
 def rewrite(

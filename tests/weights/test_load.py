@@ -21,12 +21,6 @@ def pixels() -> torch.Tensor:
     return torch.rand(2, 3, 64, 64, generator=torch.Generator().manual_seed(0))
 
 
-@pytest.fixture
-def file(tiny_model: ZoeDepth, tmp_path: Path) -> Path:
-    save_model(tiny_model, tmp_path / "model.safetensors")
-    return tmp_path / "model.safetensors"
-
-
 # --- there and back ---------------------------------------------------------------------------------------------------
 
 

@@ -18,12 +18,6 @@ from zoedepth.weights.load import load_model
 from zoedepth.weights.save import save_model
 
 
-@pytest.fixture
-def file(tiny_model: ZoeDepth, tmp_path: Path) -> Path:
-    save_model(tiny_model, tmp_path / "model.safetensors")
-    return tmp_path / "model.safetensors"
-
-
 def test_half_precision_file_is_half_the_size_and_loads_as_float32(tiny_model: ZoeDepth, file: Path, tmp_path: Path):
     half = tmp_path / "half.safetensors"
     save_model(tiny_model, half, dtype=torch.float16)
