@@ -11,6 +11,7 @@ from zoedepth.batch import Request, find_photos, predict_all
 from zoedepth.calibration import Calibration, is_calibrated, undo_files
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.outputs import Options
 from zoedepth.outputs.sidecar import read_sidecar
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth, read_npz
@@ -74,6 +75,20 @@ def test_a_png_alone_is_enough(photo: Path, tmp_path: Path, tiny_model: ZoeDepth
     undo_files(sidecar)
     mine, theirs = (read_depth(path.with_name("photo_depth.png")) for path in (sidecar, plain))
     np.testing.assert_allclose(mine, theirs, atol=1.6e-3)
+
+
+def test_what_is_farther_than_before_is_not_clipped(photo: Path, tmp_path: Path, tiny_model: ZoeDepth) -> None:
+    plain = write(photo, tmp_path / "plain", tiny_model, None, ("npy",))
+    depth = read_depth(plain.with_name("photo_depth.npy"))
+    scale = 0.75 * 65535 / depth.max()  # fits depth that is halved, and not the whole
+    request = Request(
+        "tiny", ("npy", "depth"), calibration=Calibration(scale=0.5), options=Options(png_scale=2 * scale)
+    )
+    found = find_photos([str(photo)], tmp_path / "out")
+    (outcome,) = predict_all(found.photos, Predictor(tiny_model, flip_average=False), request)
+    assert outcome.failure is None
+    undo_files(tmp_path / "out" / "photo.json")
+    np.testing.assert_allclose(read_depth(tmp_path / "out" / "photo_depth.png"), depth, atol=1e-3)
 
 
 class TestRefuses:

@@ -161,6 +161,27 @@ class TestReadings:
         assert "--between needs the camera" in capsys.readouterr().err
         assert calibrate(photo, "--between=100,100,500,300=1", "--fov-x", 60) == 0
 
+    def test_along_the_ray_needs_a_known_camera(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert calibrate(photo, "--at=100,100=1", "--along-ray", "--camera", "none") == 2
+        assert "--along-ray needs the camera" in capsys.readouterr().err
+
+    def test_again_for_one_photo_replaces_its_readings(
+        self, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        kept = tmp_path / "camera.json"
+        assert calibrate(photo, "--at=100,100=1", "--out", kept) == 0
+        monkeypatch.chdir(photo.parent)
+        assert calibrate(photo.name, "--at=200,200=1.5", "--out", kept, "--add") == 0  # by another path
+        assert "that" in (said := capsys.readouterr().err)
+        assert "are replaced" in said
+        assert len(read_calibration(kept).readings) == 1
+        (tmp_path / "other").mkdir()
+        (tmp_path / "other" / photo.name).write_bytes(photo.read_bytes())
+        monkeypatch.chdir(tmp_path / "other")
+        assert calibrate(photo.name, "--at=200,200=1.5", "--out", kept, "--add") == 0  # another photo of this name
+        assert "are replaced" not in capsys.readouterr().err
+        assert len(read_calibration(kept).readings) == 2
+
     def test_along_the_ray(self, photo: Path, depth: DepthMap, tmp_path: Path) -> None:
         x, y = 600, 40
         assert (

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
-from zoedepth.geometry.camera_files import read_camera
+from zoedepth.geometry.camera_files import read_camera, read_cameras
+from zoedepth.geometry.lens import camera_of
 
 SIZE = (480, 640)
 # Numbers with many digits, so that a lost one shows.
@@ -186,8 +187,12 @@ class TestSize:
     def test_files_that_tell_none(self, tmp_path: Path) -> None:
         path = write(tmp_path / "matrix.npy", MATRIX)
         assert read_camera(path, (500, 700)) == Camera((500, 700), FX, FY, CX, CY)
-        said = error(tmp_path / "matrix.npy", MATRIX, (240, 320))
-        assert "the principal point, (325.582, 253.736), is outside of the photo of 320 x 240 pixels" in said
+        for height, width in ((240, 320), (3000, 4000)):
+            said = error(tmp_path / "matrix.npy", MATRIX, (height, width))
+            assert (
+                f"the principal point, (325.582, 253.736), is far from the middle of the photo of {width} x {height}"
+                in said
+            )
         assert "width and height" in said
         crop = {"fx": FX, "fy": FY, "cx": -20, "cy": CY, "width": 640, "height": 480}
         assert read_camera(write(tmp_path / "crop.json", crop), SIZE).cx == -20, "a crop may lie beside its axis"
@@ -197,6 +202,27 @@ class TestSize:
         assert "multiply them and the principal point by its width and height" in error(tmp_path / "n.json", normalized)
 
 
+@pytest.mark.parametrize("name", ["intrinsics", "camera_matrix", "K"])
+def test_numbers_with_names_are_taken_by_these(tmp_path: Path, name: str) -> None:
+    sorted_keys = {"cx": CX, "cy": CY, "fx": FX, "fy": FY}
+    path = write(tmp_path / "a.json", {"width": 640, "height": 480, name: sorted_keys})
+    assert read_camera(path, SIZE) == Camera(SIZE, FX, FY, CX, CY)
+    curved = {"width": 640, "height": 480, name: sorted_keys | {"coeffs": [0.1, 0, 0, 0, 0]}}
+    assert "has lens distortion (0.1" in error(tmp_path / "b.json", curved)
+
+
+@pytest.mark.parametrize("name", ["distortion_params", "distortion_coefficients", "distortionParameters"])
+def test_distortion_by_any_of_its_names_is_refused(tmp_path: Path, name: str) -> None:
+    content = {"fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240, "w": 640, "h": 480, name: [0.2, 0, 0, 0, 0, 0]}
+    assert "has lens distortion (0.2" in error(tmp_path / "transforms.json", content)
+
+
+def test_angle_of_a_nerf_leaves_its_principal_point(tmp_path: Path) -> None:
+    content = {"camera_angle_x": 1.0, "w": 640, "h": 480, "cx": 280, "cy": 260}
+    found = read_camera(write(tmp_path / "transforms.json", content), SIZE)
+    assert (found.cx, found.cy) == (279.5, 259.5)
+
+
 class TestSeveralCameras:
     FIRST, SECOND = "1 PINHOLE 640 480 500 510 320 240\n", "2 SIMPLE_PINHOLE 320 240 300 160 120\n"
 
@@ -204,6 +230,16 @@ class TestSeveralCameras:
         path = write(tmp_path / "cameras.txt", self.FIRST + self.SECOND)
         assert read_camera(path, SIZE) == Camera(SIZE, 500, 510, 319.5, 239.5)
         assert read_camera(path, (240, 320)) == Camera((240, 320), 300, 300, 159.5, 119.5)
+
+    def test_all_of_them_serve_photos_of_several_sizes(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "cameras.txt", self.FIRST + self.SECOND)
+        cameras = read_cameras(path, SIZE)
+        assert camera_of(cameras, SIZE) == read_camera(path, SIZE)
+        assert camera_of(cameras, (240, 320)) == read_camera(path, (240, 320))
+        with pytest.raises(
+            InputError, match=r"of 2 cameras, for photos of 320 x 240, 640 x 480, none is for one of 64 x 48"
+        ):
+            camera_of(cameras, (48, 64))
 
     def test_equal_ones_are_one(self, tmp_path: Path) -> None:
         path = write(tmp_path / "cameras.txt", self.FIRST + self.FIRST.replace("1 P", "7 P"))

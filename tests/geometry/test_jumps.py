@@ -156,3 +156,8 @@ def test_rows_may_have_focal_lengths_of_their_own() -> None:
 def test_the_camera_must_be_that_of_the_depth(function: Callable[[np.ndarray, Camera], object]) -> None:
     with pytest.raises(InputError, match="camera"):
         function(np.ones((3, 3)), CAMERA)
+
+
+@pytest.mark.parametrize("size", [(1, 700), (700, 1), (2, 1300), (4, 2500), (1, 1)])
+def test_thin_maps_have_flying_pixels_or_none(size: tuple[int, int]) -> None:
+    assert not flying_pixels(np.full(size, 2.0, np.float32), Camera.from_fov(size, horizontal=60)).any()

@@ -47,8 +47,20 @@ def test_what_no_lens_has_is_refused_before_there_is_a_photo(known: dict[str, fl
 
 def test_what_is_known_comes_back_to_the_last_bit() -> None:
     assert camera_of(OFF_CENTRE, (480, 640)) is OFF_CENTRE
-    intrinsics = Intrinsics(0.1 + 0.2, 1 / 3, 1e-7, 240.0)
+    intrinsics = Intrinsics(1000 / 3, 100 * (0.1 + 0.2), 1e-7, 240.0)
     assert camera_of(intrinsics, (480, 640)).intrinsics == intrinsics
+
+
+@pytest.mark.parametrize("known", [Lens(focal_px=26), Lens(focal_px=0.81), Intrinsics(4e5, 4e5, 319.5, 239.5)])
+def test_focal_lengths_in_another_unit_are_refused(known: Lens | Intrinsics) -> None:
+    with pytest.raises(InputError, match=r"degrees along the 640 pixels of the photo, .* in pixels, and not in millim"):
+        camera_of(known, (480, 640))
+
+
+@pytest.mark.parametrize(("name", "value"), [("fov_x", 0.69), ("fov_y", 175.0), ("fov_diagonal", 0.5)])
+def test_fields_of_view_in_another_unit_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=rf"{name} is {value:g} degrees, and lenses see 1 to 160: radians"):
+        Lens(**{name: value})
 
 
 @given(height=SIDES, width=SIDES, factor=st.floats(0.05, 1))

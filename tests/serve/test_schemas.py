@@ -64,7 +64,7 @@ def test_values_that_nothing_can_have_are_invalid(given: dict) -> None:
 
 def test_the_smallest_and_widest_lens_make_a_camera() -> None:
     for name in ("fov_x", "fov_y", "fov_diagonal"):
-        for degrees in (0.01, 179.99):
+        for degrees in (1, 160):
             camera = query(**{name: degrees}).wanted().camera
             assert isinstance(camera, Lens)
             assert camera.camera((48, 64)).focal_px > 0
@@ -79,7 +79,7 @@ def test_a_calibration_is_a_part_or_a_factor_and_not_both() -> None:
     with pytest.raises(InputError, match="one of them"):
         factor.calibration(part)
     with pytest.raises(InputError, match="long"):
-        CalibratedQuery.model_validate({}).calibration(b" " * 70_000)
+        CalibratedQuery.model_validate({}).calibration(b" " * 1_100_000)
 
 
 @pytest.mark.parametrize(

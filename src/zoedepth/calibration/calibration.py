@@ -21,7 +21,8 @@ MAX_KEPT = 100
 """Number of readings that a file lists, at most."""
 
 _MAX_SCALE, _MAX_POWER = 1e4, 4.0
-_MAX_FILE = 1 << 16  # bytes
+MAX_FILE = 1 << 20
+"""Bytes of a file of a calibration, at most: names of photos may be long."""
 _SAME_CAMERA = 0.02  # relative difference of focal lengths and proportions below which two cameras are one
 _KIND = "calibration"
 
@@ -204,7 +205,7 @@ def read_calibration(path: str | Path) -> Calibration:
         InputError: the file cannot be read, or is no such file.
     """
     path = Path(path)
-    values = read_json(path, max_bytes=_MAX_FILE)
+    values = read_json(path, max_bytes=MAX_FILE)
     if values.get("zoedepth") != _KIND or not isinstance(values.get(_KIND), dict):
         raise InputError(
             f"{path} is no calibration: make one with `zoedepth calibrate PHOTO --at X,Y=METRES --out FILE`"

@@ -11,7 +11,7 @@ from zoedepth.calibration.calibration import Calibration
 from zoedepth.config import from_dict
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
-from zoedepth.images import DepthArray, ImageArray, read_image
+from zoedepth.images import PNG_MAX, DepthArray, ImageArray, read_image
 from zoedepth.outputs import OUTPUTS, Maps, Options
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import is_own_file
@@ -54,7 +54,11 @@ def undo_files(sidecar: Path) -> list[Path]:
         if name not in OUTPUTS or Path(values["files"][name]).name != values["files"][name] or not is_own_file(file):
             raise InputError(f"{file} is gone, or not from zoedepth: put it back. {_AGAIN}")
     maps = _maps_before(values, files, calibration)
-    options = Options(png_scale=values.get("png_scale"))
+    scale = values.get("png_scale")
+    depth = maps.depth if maps.depth is not None else np.zeros(0)  # these maps have one
+    farthest = depth[np.isfinite(depth)].max(initial=0)
+    fits = scale is not None and farthest * scale <= PNG_MAX
+    options = Options(png_scale=scale if fits else None)  # what is farther than before may not be clipped
     with TemporaryDirectory(prefix=".", dir=sidecar.parent) as drafts:
         written = {name: OUTPUTS[name].write(Path(drafts, file.name), maps, options) for name, file in files.items()}
         facts = {key: value for output in written.values() for key, value in output.facts.items()}

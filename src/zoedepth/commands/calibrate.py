@@ -1,6 +1,7 @@
 """``zoedepth calibrate``: put the metres of a photo, and of its camera, right by some readings; or take that back."""
 
 import math
+import os
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -152,10 +153,11 @@ def calibrate(
         places = places_to_measure(result.depth, result.valid)
         proposed = ", ".join(f"{x},{y} ({result.depth[y, x]:.2f} m by the model)" for x, y in places)
         raise InputError(f"give what was measured: --at X,Y=METRES. Good places in this photo are {proposed}")
-    if between and result.camera.source == "assumed":
+    if (between or along_ray) and result.camera.source == "assumed":
         raise InputError(
-            f"--between needs the camera of {photo}, which is not known ({result.camera_note or 'nobody says it'}): "
-            "say the field of view (--fov-x, --fov-diagonal), or measure depth (--at)"
+            f"{'--between' if between else '--along-ray'} needs the camera of {photo}, which is not known "
+            f"({result.camera_note or 'nobody says it'}): say the field of view (--fov-x, --fov-diagonal), or measure "
+            "depth along the optical axis (--at)"
         )
     if earlier is not None and (
         reasons := earlier.mismatches(
@@ -163,6 +165,11 @@ def calibrate(
         )
     ):
         raise InputError(f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}")
+    name = readable(os.path.abspath(photo))
+    if earlier is not None and any(reading.photo == name for reading in earlier.readings):
+        Console(stderr=True, highlight=False).print(
+            f"note: the readings of {photo} that {out} had are replaced", soft_wrap=True, markup=False
+        )
     found = fit(
         result.depth,
         readings if sparse is None else sparse,
@@ -170,7 +177,7 @@ def calibrate(
         valid=result.valid,
         along_ray=along_ray,
         form=form,
-        photo=readable(str(photo)),
+        photo=name,
         earlier=earlier,
     )
     found = replace(found, network=model, domain=result.domain, focal_corrected=result.focal_correction != 1)

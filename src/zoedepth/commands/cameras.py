@@ -6,7 +6,7 @@ from pathlib import Path
 from zoedepth.claims import BinaryFile
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
-from zoedepth.geometry.camera_files import read_camera
+from zoedepth.geometry.camera_files import read_cameras
 from zoedepth.geometry.choice import CameraChoice
 from zoedepth.geometry.lens import Lens, camera_of
 from zoedepth.images import read_image
@@ -54,11 +54,11 @@ def chosen_camera(
     if camera not in (None, "exif"):
         if not Path(camera).is_file():
             raise InputError(f"--camera must be exif, none or a file of a camera; there is no file {camera!r}")
-        return read_camera(Path(camera), _size_of_first(photos))
+        return read_cameras(Path(camera), _size_of_first(photos))
     if intrinsics is not None:
         return _middle_looking(camera_of(Intrinsics(*intrinsics), _size_of_first(photos)))
     if focal_px is not None:
-        return Camera.from_focal(focal_px, _size_of_first(photos))
+        return camera_of(Lens(focal_px=focal_px), _size_of_first(photos))
     if names and camera is None:
         return Lens(fov_x=fov_x, fov_y=fov_y, fov_diagonal=fov_diagonal)
     return "exif"

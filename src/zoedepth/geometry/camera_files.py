@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, CameraSource, Intrinsics
-from zoedepth.geometry.lens import camera_of
+from zoedepth.geometry.lens import Cameras, camera_of
 from zoedepth.stored import MAX_NESTING, parse_json, read_npy, read_text
 
 _UNDISTORT = (
@@ -87,13 +87,28 @@ def read_camera(path: str | Path, size: tuple[int, int]) -> Camera:
         InputError: the file cannot be read, has no camera or several that differ, one with lens distortion, one that
             was only assumed, or one for photos of other proportions.
     """
+    known = read_cameras(path, size)
+    return known if isinstance(known, Camera) else known.chosen(size)
+
+
+def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
+    """Read the camera of photos from a file as ``read_camera`` does; all that it has, where there are several.
+
+    Args:
+        path: the file.
+        size: (height, width) of the first photo, upright, which must have a camera in the file.
+
+    Raises:
+        InputError: see ``read_camera``.
+    """
     path = Path(path)
     read = _READERS.get(path.suffix.lower())
     if read is None:
         hint = _HINTS.get(path.suffix.lower(), "")
         raise InputError(f"{path} is no file of a camera, which ends in one of {', '.join(_READERS)}{hint}")
     try:
-        stated = read(path, size)
+        found = read(path, size)
+        stated = _one_of(found, size)
         if stated.objection:
             raise InputError(f"it {stated.objection}: {_UNDISTORT}")
         if stated.source == "assumed":
@@ -103,7 +118,10 @@ def read_camera(path: str | Path, size: tuple[int, int]) -> Camera:
             )
         camera = Camera.of(stated.intrinsics, stated.size or size, source=stated.source)
         _check_plausible(camera, size_is_known=stated.size is not None)
-        return camera_of(camera, size)
+        if len(set(found)) == 1:
+            return camera_of(camera, size)
+        others = (each for each in found if each.size is not None and not each.objection)
+        return Cameras(tuple(Camera.of(each.intrinsics, each.size, source=each.source) for each in others if each.size))
     except InputError as error:
         message = str(error)
         raise InputError(message if str(path) in message else f"{path}: {message}") from error
@@ -120,34 +138,35 @@ def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:
             f"{fov[1]:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply "
             "them and the principal point by its width and height"
         )
-    if not size_is_known and not (-_HALF <= camera.cx <= width - _HALF and -_HALF <= camera.cy <= height - _HALF):
+    middle = ((camera.cx + _HALF) / width, (camera.cy + _HALF) / height)
+    if not size_is_known and not all(1 / 4 <= part <= 3 / 4 for part in middle):
         raise InputError(
-            f"the principal point, ({camera.cx:g}, {camera.cy:g}), is outside of the photo of {width} x {height} "
-            "pixels, so this is the camera of a photo of another size. Write it as JSON, with fx, fy, cx, cy, width "
-            "and height"
+            f"the principal point, ({camera.cx:g}, {camera.cy:g}), is far from the middle of the photo of {width} x "
+            f"{height} pixels: this is the camera of a photo of another size, or of one that was cropped. Write it as "
+            "JSON, with fx, fy, cx, cy, and the width and height of the photo"
         )
 
 
-def _read_npy(path: Path, _size: tuple[int, int]) -> _Stated:
-    return _Stated(_of_matrix(read_npy(path)))
+def _read_npy(path: Path, _size: tuple[int, int]) -> list[_Stated]:
+    return [_Stated(_of_matrix(read_npy(path)))]
 
 
-def _read_text(path: Path, size: tuple[int, int]) -> _Stated:
+def _read_text(path: Path, size: tuple[int, int]) -> list[_Stated]:
     rows = [line.partition("#")[0].replace(",", " ").split() for line in read_text(path).splitlines()]
     rows = [row for row in rows if row]
     if any(len(row) > 1 and _COLMAP_MODEL.fullmatch(row[1]) for row in rows):
-        return _one_of([_colmap_camera(row) for row in rows], size)
-    return _Stated(_of_matrix([_numbers(row) for row in rows]))
+        return [_colmap_camera(row) for row in rows]
+    return [_Stated(_of_matrix([_numbers(row) for row in rows]))]
 
 
-def _read_json(path: Path, _size: tuple[int, int]) -> _Stated:
+def _read_json(path: Path, _size: tuple[int, int]) -> list[_Stated]:
     text = read_text(path)
     if text.lstrip().startswith("["):  # the one reader of JSON takes objects
         text = f'{{"matrix": {text}}}'
-    return _of_keys(parse_json(text, str(path)))
+    return [_of_keys(parse_json(text, str(path)))]
 
 
-def _read_yaml(path: Path, _size: tuple[int, int]) -> _Stated:
+def _read_yaml(path: Path, _size: tuple[int, int]) -> list[_Stated]:
     """Read YAML with all its values as texts: nothing is made of its tags, and nothing is run."""
     import yaml
 
@@ -175,7 +194,7 @@ def _read_yaml(path: Path, _size: tuple[int, int]) -> _Stated:
         raise InputError(f"it is no YAML ({' '.join(str(error).split())[:200]})") from error
     if not isinstance(values, dict):
         raise InputError("it has no keys, such as camera_matrix: it is no YAML of a camera")
-    return _of_keys(values)
+    return [_of_keys(values)]
 
 
 def _one_of(found: list[_Stated], size: tuple[int, int]) -> _Stated:
@@ -212,18 +231,22 @@ def _colmap_camera(row: list[str]) -> _Stated:
 
 def _of_keys(values: Mapping[str, Any]) -> _Stated:
     """Return the camera of an object of JSON or a mapping of YAML."""
-    for key in ("calibration", "camera", "cam0"):  # our own files, and Kalibr's
+    for key in ("camera", "calibration", "cam0"):  # our own files, and Kalibr's
         if isinstance(values.get(key), dict):
             if "cam1" in values:
                 raise InputError("it has several cameras: leave only one in a copy of the file, as cam0")
             return _of_keys(values[key])
+    for key, value in values.items():  # RealSense's and others': by their names, in whatever order they stand
+        if _plain(key) in _MATRICES and isinstance(value, dict) and "data" not in value:
+            return _of_keys({**{other: it for other, it in values.items() if other != key}, **value})
     known = {_plain(key): value for key, value in values.items()}
     models = [str(known[key]) for key in _MODELS if key in known]
     curved = [model for model in models if _plain(model).removeprefix("distortion") not in _PLAIN_MODELS]
     if curved:
         objection = _other_model(curved[0])
     else:
-        objection = _objection([number for key in _DISTORTIONS if key in known for number in _flat(known[key])])
+        curves = [key for key in known if key in _DISTORTIONS or key.startswith(("distortionco", "distortionparam"))]
+        objection = _objection([number for key in curves for number in _flat(known[key])])
     size = _size_in(known)
     source = known["source"] if known.get("source") in get_args(CameraSource) else "given"
     return _Stated(_intrinsics_in(known, size), size, source, objection)
@@ -247,7 +270,11 @@ def _intrinsics_in(known: Mapping[str, Any], size: tuple[int, int] | None) -> In
             return _of_matrix(numbers)
     if "cameraanglex" in known and size is not None:
         (angle,) = _numbers([known["cameraanglex"]])
-        return Camera.from_fov(size, horizontal=math.degrees(angle)).intrinsics
+        found = Camera.from_fov(size, horizontal=math.degrees(angle)).intrinsics
+        if "cx" in known and "cy" in known:
+            cx, cy = _numbers([known["cx"], known["cy"]])
+            found = replace(found, cx=cx - _HALF, cy=cy - _HALF)
+        return found
     raise InputError(
         "it has no camera: neither camera_matrix, K or intrinsics, nor fx, fy, cx and cy, nor fl_x, nor camera_angle_x "
         "with w and h"
@@ -321,7 +348,7 @@ def _plain(name: object) -> str:
 
 _MAX_YAML = 1 << 17  # bytes: the reader of YAML takes seconds for a megabyte
 
-_READERS: dict[str, Callable[[Path, tuple[int, int]], _Stated]] = {
+_READERS: dict[str, Callable[[Path, tuple[int, int]], list[_Stated]]] = {
     ".yaml": _read_yaml,
     ".yml": _read_yaml,
     ".json": _read_json,

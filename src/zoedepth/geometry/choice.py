@@ -5,7 +5,7 @@ from typing import Literal, TypeAlias, cast
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
-from zoedepth.geometry.lens import KnownCamera, Lens, camera_of
+from zoedepth.geometry.lens import Cameras, KnownCamera, Lens, camera_of
 
 CameraChoice: TypeAlias = KnownCamera | Literal["exif", "none"]
 """The camera of a photo: all that somebody knows of it; or "exif", as the photo's own notes tell it; or "none"."""
@@ -20,7 +20,10 @@ def check_choice(camera: CameraChoice) -> None:
     Raises:
         InputError: it is none.
     """
-    if not (isinstance(camera, Camera | Intrinsics | Lens) or (isinstance(camera, str) and camera in ("exif", "none"))):
+    if not (
+        isinstance(camera, Camera | Cameras | Intrinsics | Lens)
+        or (isinstance(camera, str) and camera in ("exif", "none"))
+    ):
         raise InputError(
             f"camera must be a Camera, Intrinsics, a Lens, 'exif' or 'none', got {camera!r}. Camera.from_matrix makes "
             "one of a 3 x 3 matrix"

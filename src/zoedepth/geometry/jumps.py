@@ -98,7 +98,7 @@ def find_flying(
     """Return the pixels that hang in the air, as ``flying_pixels`` does, for any kind of camera: see ``find_jumps``."""
     flying = np.zeros(depth.shape, bool)
     step = 1
-    while step == 1 or max(depth.shape) >= _FEWEST * step:
+    while step == 1 or (max(depth.shape) >= _FEWEST * step and min(depth.shape) > step // 2):
         coarse = depth[step // 2 :: step, step // 2 :: step]
         coarse_across = across[step // 2 :: step] if isinstance(across, np.ndarray) else across
         steep = STEEP if step == 1 or max(depth.shape) >= _MANY * step else _WIDE_STEEP

@@ -1,9 +1,13 @@
 """The lens, all that is known of a camera before the size of the photo is; and the camera of a photo from either."""
 
+import math
 from dataclasses import dataclass, fields
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
+
+_FOV = (1.0, 160.0)  # degrees along the longer side: beyond, a number is in another unit
+_MOST_NAMED = 6
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,12 @@ class Lens:
             names = ", ".join(field.name for field in fields(self))
             raise InputError(f"a lens needs one of {names}, got {', '.join(given) or 'none'}")
         self.camera((1, 1))  # says what is wrong with the number
+        degrees = getattr(self, given[0])
+        if given[0] != "focal_px" and not _FOV[0] <= degrees <= _FOV[1]:
+            raise InputError(
+                f"{given[0]} is {degrees:g} degrees, and lenses see {_FOV[0]:g} to {_FOV[1]:g}: radians times 57.3 are "
+                "degrees"
+            )
 
     def camera(self, size: tuple[int, int]) -> Camera:
         """Return the camera of a photo of ``size`` (height, width), said to be given."""
@@ -40,7 +50,29 @@ class Lens:
         return Camera.from_fov(size, horizontal=self.fov_x, vertical=self.fov_y, diagonal=self.fov_diagonal)
 
 
-KnownCamera = Camera | Intrinsics | Lens
+@dataclass(frozen=True)
+class Cameras:
+    """Several cameras, of which the size of a photo chooses: those of a file of COLMAP, for example."""
+
+    cameras: tuple[Camera, ...]
+
+    def chosen(self, size: tuple[int, int]) -> Camera:
+        """Return the camera that took a photo of ``size`` (height, width).
+
+        Raises:
+            InputError: there is none for photos of this size, or several.
+        """
+        fitting = {camera for camera in self.cameras if camera.size == size}
+        if len(fitting) != 1:
+            sizes = ", ".join(sorted({f"{camera.size[1]} x {camera.size[0]}" for camera in self.cameras})[:_MOST_NAMED])
+            raise InputError(
+                f"of {len(self.cameras)} cameras, for photos of {sizes}, {len(fitting) or 'none'} is for one of "
+                f"{size[1]} x {size[0]}: leave only its line in a copy of the file"
+            )
+        return fitting.pop()
+
+
+KnownCamera = Camera | Cameras | Intrinsics | Lens
 """All that somebody may know of a camera: the whole of it, for photos of one size; or less, for photos of any."""
 
 
@@ -50,16 +82,20 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
     Args:
         known: a ``Camera`` of this size is returned as it is, and one of another size is resized where the proportions
             are the same, to a pixel; one that looks through the middle may be turned, too. ``Intrinsics`` are in pixels
-            of the photo, and are not changed. A ``Lens`` looks through the middle of the photo.
+            of the photo, and are not changed. A ``Lens`` looks through the middle of the photo. Of ``Cameras`` the size
+            of the photo chooses.
         size: (height, width) of the photo.
 
     Raises:
-        InputError: the camera is that of a photo of other proportions.
+        InputError: the camera is that of a photo of other proportions, or would see less than 1 or more than 160
+            degrees of it.
     """
     if isinstance(known, Lens):
-        return known.camera(size)
+        return _checked(known.camera(size))
     if isinstance(known, Intrinsics):
-        return Camera.of(known, size)
+        return _checked(Camera.of(known, size))
+    if isinstance(known, Cameras):
+        return known.chosen(size)
     if known.size == size:
         return known
     if _same_proportions(known.size, size):
@@ -74,6 +110,19 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
     raise InputError(
         f"{claim}, of other proportions, so it was cropped: give the camera of the cropped photo (Camera.cropped)"
     )
+
+
+def _checked(camera: Camera) -> Camera:
+    """Refuse a focal length in another unit than pixels."""
+    height, width = camera.size
+    side, focal = (width, camera.fx) if width >= height else (height, camera.fy)
+    fov = math.degrees(2 * math.atan2(side / 2, focal))
+    if not _FOV[0] <= fov <= _FOV[1]:
+        raise InputError(
+            f"the camera would see {fov:.3g} degrees along the {side} pixels of the photo, which no lens does: is its "
+            f"focal length, {focal:.4g}, in pixels, and not in millimetres or in parts of the width?"
+        )
+    return camera
 
 
 def _same_proportions(one: tuple[int, int], other: tuple[int, int]) -> bool:

@@ -46,7 +46,15 @@ def write_page(path: str | Path, content: bytes, *, kind: Kind, title: str, up: 
         up: the direction in the file that is up in the world: "y", as in glTF, "-y", as in OpenCV, or "z".
         place: where the first look is from: "photo", from the origin, as the photo; "around", from the origin, around
             which all lies; "outside", from where all is seen.
+
+    Raises:
+        InputError: the page would be longer than browsers take.
     """
+    if len(content) > MAX_FILE:
+        raise InputError(
+            f"{path} would hold {len(content):,} bytes, and a page can hold {MAX_FILE:,}: take fewer triangles or "
+            "points (--max-triangles, --max-points)"
+        )
     folder = files("zoedepth") / "assets" / "viewer"
     texts = {name: (folder / name).read_text(encoding="utf-8") for name in ("page.html", "three.min.js", "viewer.js")}
     facts = json.dumps({"kind": kind, "up": up, "place": place})

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from zoedepth.calibration import Calibration
+from zoedepth.calibration.calibration import MAX_FILE
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.geometry.choice import CameraChoice
@@ -19,8 +20,7 @@ MAX_POINTS = 1000
 """Points, pairs and readings of a request, at most."""
 
 _NUMBER = r"-?\d{1,7}(\.\d{1,12})?"
-_MAX_CALIBRATION = 1 << 16  # bytes
-_Degrees = Annotated[float, Field(ge=0.01, le=179.99)]
+_Degrees = Annotated[float, Field(ge=1, le=160)]
 _Metres = Annotated[float, Field(ge=1e-6, le=1e6)]
 _Side = Annotated[float, Field(ge=-1e7, le=1e7)]
 _Pixel = tuple[_Side, _Side]
@@ -98,7 +98,7 @@ class CalibratedQuery(PredictionQuery):
             return None if self.calibration_scale is None else Calibration(self.calibration_scale)
         if self.calibration_scale is not None:
             raise InputError("the part calibration and calibration_scale both put the metres right: give one of them")
-        values = parse_json(part, "the part calibration", max_bytes=_MAX_CALIBRATION)
+        values = parse_json(part, "the part calibration", max_bytes=MAX_FILE)
         inner = values.get("calibration")
         if values.get("zoedepth") != "calibration" or not isinstance(inner, dict):
             raise InputError("the part calibration is no file of `zoedepth calibrate` or /v1/calibrate")
