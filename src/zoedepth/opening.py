@@ -107,7 +107,9 @@ def _open_folder(
         given = {**given, "depth_scale": None, "default_scale": given["depth_scale"]}
         return HuggingFaceDataset(data, name=str(path), **given, folder=path)
     if name in DATASETS:
-        return DATASETS[name](path, split=split, allow_missing=pairs["allow_missing"])
+        return DATASETS[name](
+            path, split=split, allow_missing=pairs["allow_missing"], keep_missing=pairs["keep_missing"]
+        )
     if find_layout(path):
         return PairDataset(path, split=split, **pairs, **given)
     if find_shards(path):

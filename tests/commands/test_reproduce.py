@@ -86,3 +86,12 @@ def test_what_cannot_be_is_an_error_before_any_work(
     assert main(["reproduce", *words, "--small", "--data", nyu, "--out", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert started == []
+
+
+def test_what_is_trained_on_is_not_scored_on(
+    nyu: str, tmp_path: Path, started: list[tuple[str, int]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    one = f"{nyu}/train.csv"
+    assert main(["reproduce", "table-5", "--small", *BASE, "--data", one, "--out", str(tmp_path / "out")]) == 2
+    assert "would be trained on and scored on the same pairs" in capsys.readouterr().err
+    assert started == []

@@ -137,3 +137,29 @@ def test_result_of_another_making_is_not_taken(units: list[Unit], data: dict[str
     path.write_text("{")
     with pytest.raises(InputError, match=r"is not a result.*remove it"):
         read_result(tmp_path, units[0], open_scored(data))
+
+
+def test_scores_belong_to_the_pairs_that_are_scored(data: dict[str, str], tmp_path: Path) -> None:
+    folder = tmp_path / "nyu"
+    shutil.copytree(data["nyu"], folder)
+    before = open_scored({"nyu": str(folder)})["nyu"].state
+    listed = folder / "test.csv"
+    listed.write_text(listed.read_text().replace(",1000,", ",500,"))
+    assert open_scored({"nyu": str(folder)})["nyu"].state != before
+    (folder / "train.csv").unlink()  # what is scored only needs no part to train on
+    assert open_scored({"nyu": str(folder)})["nyu"].data.dataset
+
+
+def test_trainings_belong_to_the_weights_that_they_start_from(
+    tiny: Scale, data: dict[str, str], tmp_path: Path
+) -> None:
+    base = tmp_path / "base.safetensors"
+
+    def ids(content: bytes) -> list[str]:
+        base.write_bytes(content)
+        units = plan(TABLE, tiny, data, seeds=(3,), bases={"N": str(base)})
+        return [unit.training.id for unit in units if unit.training is not None]
+
+    assert len(ids(b"one")) == 2
+    assert ids(b"one") == ids(b"one")
+    assert not set(ids(b"one")) & set(ids(b"two"))

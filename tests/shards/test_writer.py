@@ -161,13 +161,21 @@ class TestWriting:
         write_shards(pairs, shards, name="pairs", size=THREE)
         assert {path.name: path.stat().st_ino for path in shards.iterdir()} == before
 
+    def test_a_unit_that_was_put_right_since_is_said(self, pairs: PairDataset, shards: Path):
+        for place, pair in enumerate(pairs.pairs):
+            if place == 4:
+                pairs.pairs[place] = replace(pair, scale=4.0 * pair.scale)
+        with pytest.raises(InputError, match=r"samples 3 to 5, or what is said of them, have changed"):
+            write_shards(pairs, shards, name="pairs", size=THREE)
+
     def test_files_that_have_changed_since_are_said(self, pairs: PairDataset, shards: Path):
         """Also where the first sample, and all the numbers, are what they were."""
         path = pairs.pairs[4].target
         assert path is not None
         write_depth_png(path, np.full((16, 24), 7, np.float32))
         before = {path.name: path.read_bytes() for path in shards.iterdir()}
-        with pytest.raises(InputError, match=r"samples 3 to 5 have changed since .*pairs-000001\.tar was written"):
+        changed = r"samples 3 to 5, or what is said of them, have changed since .*pairs-000001\.tar was written"
+        with pytest.raises(InputError, match=changed):
             write_shards(pairs, shards, name="pairs", size=THREE)
         assert {path.name: path.read_bytes() for path in shards.iterdir()} == before
         (shards / "pairs-000001.tar").unlink()

@@ -24,7 +24,7 @@ from zoedepth.model.zoedepth import DepthOutput, ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.train import metric, relative
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
-from zoedepth.train.metric import metric_losses, train_metric
+from zoedepth.train.metric import filling, metric_losses, train_metric
 from zoedepth.train.relative import train_relative
 from zoedepth.train.state import checkpoints
 from zoedepth.weights.load import load_model
@@ -436,3 +436,18 @@ def test_frozen_encoder_stays_while_the_rest_learns(make_config: MakeConfig, dat
     for part in ("decoder", "heads", "router"):
         before, after = getattr(start, part).state_dict(), getattr(model, part).state_dict()
         assert any(not torch.equal(before[name], after[name]) for name in before), part
+
+
+def test_places_of_photos_of_several_sizes_are_those_of_each() -> None:
+    """The targets of a batch are padded to one size; losses that look at places see each fill its map."""
+    target, mask = torch.zeros(2, 1, 4, 4), torch.zeros(2, 1, 4, 4, dtype=torch.bool)
+    target[0, 0, :2] = torch.tensor([[1.0, 2, 3, 4], [5, 6, 7, 8]])
+    mask[0, 0, :2] = True
+    target[1], mask[1] = 9, True
+    sizes, zeros = torch.tensor([[2, 4], [4, 4]]), torch.zeros(2, dtype=torch.long)
+    batch = Batch(torch.zeros(2, 3, 4, 4), target, mask, zeros, zeros, ["a", "b"], "depth", sizes)
+    found, known = filling(batch)
+    assert found[0, 0].tolist() == [[1, 2, 3, 4]] * 2 + [[5, 6, 7, 8]] * 2
+    assert known.all()
+    assert (found[1] == 9).all()
+    assert filling(batch._replace(sizes=None))[0] is target

@@ -351,3 +351,15 @@ def test_rates_of_a_group_are_saved_with_it(make_config: MakeConfig, tmp_path: P
     loaded = make_state(config)
     loaded.load(folder, config)
     assert {group["name"]: group["factor"] for group in loaded.optimizer.param_groups}["encoder"] == 0.5
+
+
+def test_copies_of_checkpoints_under_other_names_are_none(make_config: MakeConfig, tmp_path: Path) -> None:
+    config = make_config()
+    state = make_state(config)
+    folder = state.save(tmp_path, config)
+    for name in (f"{folder.name}_best", f"{folder.name}_1", "step_"):
+        shutil.copytree(folder, tmp_path / name)
+    assert checkpoints(tmp_path) == [folder]
+    take_step(state)
+    newest = state.save(tmp_path, config)
+    assert checkpoints(tmp_path) == [folder, newest]

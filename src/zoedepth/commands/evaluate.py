@@ -266,7 +266,14 @@ def _sources(
             )
     found |= folders
     if trivial:
-        by_domain = {domain: protocol for each in sets.values() for domain, protocol in each.protocols.items()}
+        by_domain: dict[str, Protocol] = {}
+        for name, each in sets.items():
+            for domain, chosen in each.protocols.items():
+                if by_domain.setdefault(domain, chosen) != chosen:
+                    raise InputError(
+                        f"--trivial is fitted under the protocol of a domain, and {name} has another one for {domain} "
+                        "than a data set before it: score them one after the other"
+                    )
         found |= trivial_sources(trivial, by_domain)
     return found
 

@@ -64,7 +64,7 @@ def reproduce(
     from zoedepth.reproduction.scale import FULL, SMALL
     from zoedepth.reproduction.shown import shown
     from zoedepth.reproduction.tables import find_table, require_known_bases
-    from zoedepth.reproduction.units import plan, scored_names, share
+    from zoedepth.reproduction.units import plan, scored_names, share, trained_content
     from zoedepth.train.processes import require_libraries
 
     console = Console(stderr=True, highlight=False)
@@ -85,6 +85,11 @@ def reproduce(
     units = plan(chosen, scale, given, seeds=range(FIRST_SEED, FIRST_SEED + seeds), bases=bases)
     names = scored_names(chosen, units, given)
     scored = open_scored({name: given[name] for name in names})
+    if same := [name for name in scored if scored[name].content in trained_content(units, given, name)]:
+        raise InputError(
+            f"{same[0]}={given[same[0]]} would be trained on and scored on the same pairs: give a folder with "
+            "train.csv and test.csv, or a published data set"
+        )
     if all(unit.training is None for unit in units):
         missing = sorted({name for unit in units for name in unit.missing})
         raise InputError(

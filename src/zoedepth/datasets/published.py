@@ -77,6 +77,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         root: its folder, as ``about.layout`` shows it.
         split: one of ``about.splits``.
         allow_missing: accept pairs without truth, and pairs whose files are missing; ``missing_files`` lists those.
+        keep_missing: accept pairs whose files are missing.
         use_masks: False ignores the set's own masks of where depth is valid, as the released evaluation does on DIODE.
             It changes nothing for the other sets.
 
@@ -87,7 +88,13 @@ class PublishedDataset(Dataset[Sample], ABC):
     about: ClassVar[About]
 
     def __init__(
-        self, root: str | Path, *, split: str = "train", allow_missing: bool = False, use_masks: bool = True
+        self,
+        root: str | Path,
+        *,
+        split: str = "train",
+        allow_missing: bool = False,
+        keep_missing: bool = False,
+        use_masks: bool = True,
     ) -> None:
         self.root = Path(root)
         self.use_masks = use_masks
@@ -101,7 +108,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         self.pairs = list(self.list_pairs())
         if not self.pairs:
             raise InputError(self.explain(f"{self.root} has no photos of the split {split!r}"))
-        if not allow_missing and (missing := self.missing_files()):
+        if not (allow_missing or keep_missing) and (missing := self.missing_files()):
             text = f"{len(missing)} files that belong to its {len(self.pairs)} photos are missing, the first is "
             raise InputError(self.explain(text + str(missing[0])))
         if not allow_missing:

@@ -14,7 +14,7 @@ from zoedepth.evaluation.evaluation_set import EvaluationSet, open_evaluation_se
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.forward.tensors import on_device
 from zoedepth.images import atomic_path
-from zoedepth.reproduction.units import Training, Unit, data_content
+from zoedepth.reproduction.units import Training, Unit, content_of
 from zoedepth.stored import to_json
 from zoedepth.train.metric import train_metric
 from zoedepth.train.relative import train_relative
@@ -43,6 +43,8 @@ class Scored:
 
     data: EvaluationSet
     state: str
+    content: str
+    """See ``content_of``."""
 
 
 def open_scored(data: Mapping[str, str]) -> dict[str, Scored]:
@@ -55,7 +57,8 @@ def open_scored(data: Mapping[str, str]) -> dict[str, Scored]:
     for name, source in data.items():
         opened = open_evaluation_set(source, name=name)
         labels = {domain: protocol.label for domain, protocol in sorted(opened.protocols.items())}
-        found[name] = Scored(opened, fingerprint([labels, len(opened.dataset), data_content(source, name)]))
+        content = content_of(opened.dataset, source)
+        found[name] = Scored(opened, fingerprint([labels, len(opened.dataset), content]), content)
     return found
 
 

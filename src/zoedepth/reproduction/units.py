@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from zoedepth.config import ModelConfig, to_dict
+from zoedepth.data.huggingface import HuggingFaceDataset
 from zoedepth.data.lists import Pair
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
@@ -17,7 +18,8 @@ from zoedepth.reproduction.scale import Scale
 from zoedepth.reproduction.tables import Row, Table, rows_of
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.train.config import TrainConfig
-from zoedepth.weights.fingerprint import fingerprint
+from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
+from zoedepth.weights.load import find
 
 _NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check", "accumulate")
 """Fields of a configuration that do not change its result."""
@@ -130,7 +132,16 @@ def data_content(source: str, name: str) -> str:
     Raises:
         InputError: there is no such data.
     """
-    dataset: Samples = open_dataset(source, name=name, keep_missing=True)
+    return content_of(open_dataset(source, name=name, keep_missing=True), source)
+
+
+def content_of(dataset: Samples, source: str) -> str:
+    """Return a hash of an open data set as ``data_content`` does.
+
+    Args:
+        dataset: the data set.
+        source: where it is, as it was given.
+    """
     digest = hashlib.sha256(f"{settings_fingerprint(source)} {len(dataset)}".encode())
     if isinstance(dataset, PairDataset | PublishedDataset):
         for pair in dataset.pairs:
@@ -140,6 +151,8 @@ def data_content(source: str, name: str) -> str:
             digest.update(repr(facts).encode("utf-8", "replace"))
     elif isinstance(dataset, ShardDataset):
         digest.update(dataset.index.to_json().encode())
+    elif isinstance(dataset, HuggingFaceDataset):  # the name of a file's folder has the revision
+        digest.update(repr([(file.parent.name, file.name, _size(file)) for file in dataset.files]).encode())
     elif Path(source).exists():
         files = sorted(Path(source).rglob("*")) if Path(source).is_dir() else [Path(source)]
         digest.update(repr([(file.name, _size(file)) for file in files]).encode("utf-8", "replace"))
@@ -159,9 +172,21 @@ def _training(
     name: str, config: TrainConfig, data: Mapping[str, str], start: Training | str, states: Mapping[str, str]
 ) -> Training:
     values: dict[str, Any] = {k: v for k, v in to_dict(config).items() if k not in _NO_MATTER}
-    begin = start.id if isinstance(start, Training) else start
+    begin = start.id if isinstance(start, Training) else _weights(start)
     own = {source.name: data[source.name] for source in config.sources}
     return Training(name, config, own, start, fingerprint([values, dict(states), begin]))
+
+
+def _weights(start: str) -> str:
+    """Return a hash of starting weights, and their name where they are no file here: a path may hold others by now."""
+    return weights_fingerprint(find(start)) if Path(start).exists() else start
+
+
+def trained_content(units: Sequence[Unit], data: Mapping[str, str], name: str) -> set[str]:
+    """Return the hash of what trainings read of a data set; nothing where none reads it."""
+    chains = (unit.training.chain() for unit in units if unit.training is not None)
+    read = any(source.name == name for chain in chains for each in chain for source in each.config.sources)
+    return {data_content(data[name], name)} if read else set()
 
 
 def scored_names(table: Table, units: Sequence[Unit], data: Mapping[str, str]) -> list[str]:

@@ -130,7 +130,9 @@ def verify(
             for summary in scored.summaries:
                 if summary.n_failed:
                     found.missing[name] = f"{summary.n_failed} photos of {found.data[name]} could not be scored"
-                elif summary.metrics is not None:
+                elif summary.metrics is None:
+                    found.missing[name] = f"no photo of {found.data[name]} has a known depth under the protocol"
+                else:
                     values = {metric: float(getattr(summary.metrics, metric)) for metric in _METRICS}
                     for variant, end in VARIANTS.items():
                         if find_protocol(f"{name}{end}").hash == find_protocol(summary.data).hash:

@@ -16,6 +16,7 @@ from PIL import Image
 from torch.utils.data import DataLoader, Dataset
 
 from zoedepth.data.fit import says_how_it_lies
+from zoedepth.data.lists import Pair
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample, Samples, Target
 from zoedepth.datasets.published import PublishedDataset
@@ -169,7 +170,9 @@ class _Packing(Dataset[Packed | InputError]):
                 found.append((file.name, file.stat().st_size, file.stat().st_mtime_ns))
             except OSError:
                 found.append((file.name, 0, 0))
-        return repr(found)
+        pair = self.dataset.pairs[index]
+        said = (pair.kind, pair.scale, pair.domain, pair.camera, pair.max_depth) if isinstance(pair, Pair) else ()
+        return repr([*found, *said])
 
 
 def _origin(dataset: Samples, index: int) -> tuple[Path | None, float | None]:
@@ -293,8 +296,8 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
         state = _joined([packing.state(number) for number in range(begin, begin + len(shard))])
         if shard.state and state != shard.state:
             raise InputError(
-                f"files of samples {begin} to {begin + len(shard) - 1} have changed since {out / shard.name} was "
-                "written: remove it, and it is written again, or give another folder"
+                f"files of samples {begin} to {begin + len(shard) - 1}, or what is said of them, have changed since "
+                f"{out / shard.name} was written: remove it, and it is written again, or give another folder"
             )
         begin += len(shard)
     return replace(index, shards=finished, complete=index.complete and len(finished) == len(index.shards))

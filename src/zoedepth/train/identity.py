@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
+from zoedepth.data.huggingface import HuggingFaceDataset
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
@@ -30,6 +31,8 @@ def data_state(dataset: Samples, source: str) -> str:
     else:
         if isinstance(dataset, ShardDataset):
             digest.update(dataset.index.to_json().encode())
+        if isinstance(dataset, HuggingFaceDataset):
+            _add(digest, dataset.files)
         path = Path(source)
         _add(digest, sorted(path.rglob("*")) if path.is_dir() else [path])
     return digest.hexdigest()[:16]

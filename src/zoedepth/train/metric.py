@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from zoedepth import losses
@@ -88,14 +89,14 @@ def metric_losses(
     supervision = output.supervision
     depth, std = at_truth(output.depth, batch), None if output.std is None else at_truth(output.std, batch)
     if supervision.ordinal is not None:
-        terms = {"ordinal": losses.ordinal(*supervision.ordinal, batch.target, batch.mask, total=total)}
+        terms = {"ordinal": losses.ordinal(*supervision.ordinal, *filling(batch), total=total)}
     else:
         terms = {"silog": losses.silog(depth, batch.target, batch.mask, total=total)}
     if supervision.image_bins is not None and config.chamfer_weight > 0:
         chamfer = losses.bins_chamfer(supervision.image_bins, batch.target, batch.mask, total=total)
         terms["chamfer"] = config.chamfer_weight * chamfer
     if supervision.window_bins is not None and config.window_chamfer_weight > 0:
-        chamfer = losses.window_bins_chamfer(*supervision.window_bins, batch.target, batch.mask, total=total)
+        chamfer = losses.window_bins_chamfer(*supervision.window_bins, *filling(batch), total=total)
         terms["window_chamfer"] = config.window_chamfer_weight * chamfer
     if config.log_gradient_weight > 0:
         smooth = torch.tensor([source.gradient_term for source in sources], device=batch.mask.device)
@@ -108,6 +109,23 @@ def metric_losses(
         entropy, n = losses.domain_cross_entropy(output.domain_logits, batch.domain), batch.domain.new_ones(())
         terms["domain"] = config.domain_weight * total(entropy) / total(n)
     return terms
+
+
+def filling(
+    batch: Batch,
+) -> tuple[Float[Tensor, "batch 1 rows columns"], Bool[Tensor, "batch 1 rows columns"]]:
+    """Return true depth and mask that fill their maps, for losses that look at places of the photo.
+
+    Where the sizes differ within a batch, a smaller target is enlarged to the nearest pixels.
+    """
+    if batch.sizes is None:
+        return batch.target, batch.mask
+    target, mask = torch.empty_like(batch.target), torch.empty_like(batch.mask)
+    for i, (height, width) in enumerate(batch.sizes.tolist()):
+        for whole, part in ((target, batch.target), (mask, batch.mask)):
+            own = part[i : i + 1, :, :height, :width].float()
+            whole[i] = F.interpolate(own, whole.shape[-2:], mode="nearest")[0].to(whole.dtype)
+    return target, mask
 
 
 def at_truth(prediction: Float[Tensor, "batch 1 height width"], batch: Batch) -> Float[Tensor, "batch 1 rows columns"]:

@@ -101,11 +101,12 @@ def set_up(
     if config.gradient_checkpointing:
         model.encoder.checkpoint_gradients()
     network = part(model)
-    optimizer = build_optimizer(network, config.optim)
-    state = TrainState(model, optimizer, averaged(model, config.ema_decay))
+    plain = build_optimizer(network, config.optim)
+    network, optimizer = fabric.setup(network, plain)
+    # Behind it, where the weights are on their device: what an optimizer loads goes to where they are by then.
+    state = TrainState(model, plain, averaged(model, config.ema_decay))
     if finished:
         state.load(finished[-1], config, identity)
-    network, optimizer = fabric.setup(network, optimizer)
     batches = load_batches(config, fabric, training, first_step=state.step)
     n_images = sum(len(subset) for _, subset in training)
     sources = tuple(source for source, _ in training)

@@ -118,6 +118,7 @@ class TrainState:
                 "optimizer": self.optimizer.state_dict(),
                 "ema": self.ema.state_dict() if self.ema is not None else None,
                 "rng": torch.get_rng_state(),
+                "device_rng": torch.cuda.get_rng_state() if _on_gpu(self.model) else None,
                 "task_weights": self.task_weights,
             },
             part / "train.pt",
@@ -151,6 +152,8 @@ class TrainState:
             if self.ema is not None:
                 self.ema.load_state_dict(values["ema"])
             torch.set_rng_state(values["rng"])
+            if _on_gpu(self.model) and values.get("device_rng") is not None:
+                torch.cuda.set_rng_state(values["device_rng"])
             self.task_weights = values.get("task_weights")
             self.step = int(meta["step"])
         except (RuntimeError, KeyError, TypeError, ValueError) as error:
@@ -158,6 +161,10 @@ class TrainState:
                 f"cannot resume from {checkpoint}, its state does not fit the model: {error}. Remove it to go on from "
                 "an older checkpoint"
             ) from error
+
+
+def _on_gpu(model: nn.Module) -> bool:
+    return next(model.parameters()).is_cuda
 
 
 def check_same(
@@ -208,8 +215,13 @@ def _damaged(checkpoint: Path, error: Exception) -> InputError:
 
 def checkpoints(folder: Path) -> list[Path]:
     """Return the finished checkpoints in a run's folder, oldest first."""
-    finished = [path for path in folder.glob("step_[0-9]*") if (path / "meta.json").is_file()]
-    return sorted(finished, key=lambda path: int(path.name.removeprefix("step_")))
+    finished = {
+        int(number): path
+        for path in folder.glob("step_*")
+        # A copy of one under another name, such as step_000100_best, is nobody's checkpoint here.
+        if (number := path.name.removeprefix("step_")).isdecimal() and (path / "meta.json").is_file()
+    }
+    return [path for _, path in sorted(finished.items())]
 
 
 def averaged(model: nn.Module, decay: float | None) -> AveragedModel | None:
