@@ -67,7 +67,10 @@ def test_a_file(photos: list[Path], tmp_path: Path) -> None:
         ({"focal_px": float("inf")}, "focal length fx must be above 0"),
         ({"intrinsics": (55.0, -1.0, 28.0, 21.0)}, "focal length fy must be above 0"),
         ({"intrinsics": (55.0, 56.0, float("nan"), 21.0)}, "cx must be a finite number"),
-        ({"intrinsics": (110.0, 110.0, 59.5, 39.5)}, r"cx = 59\.5, far from the middle of a photo of 60 x 40 pixels"),
+        (
+            {"intrinsics": (110.0, 110.0, 59.5, 39.5)},
+            r"\(59\.5, 39\.5\), is far from the middle of a photo of 60 x 40 pixels",
+        ),
     ],
 )
 def test_what_is_no_camera_is_refused(photos: list[Path], options: dict[str, object], message: str) -> None:

@@ -22,8 +22,10 @@ from tests.servers import PATIENCE
 
 from zoedepth.cli import main
 from zoedepth.commands.serve import TOKEN, serve
+from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.predict import Predictor
 from zoedepth.serve.server import bind
 from zoedepth.serve.settings import Limits, Settings
 from zoedepth.weights.save import save_model
@@ -182,6 +184,38 @@ def test_sigterm_under_load_breaks_no_answer(model_file: str) -> None:
     assert results.count(200) >= 5
     assert not [result for result in results if isinstance(result, Exception)]
     assert {result for result in results if isinstance(result, int)} <= {200, 429, 503}
+
+
+def test_a_thread_that_still_computes_does_not_hold_up_the_end(
+    model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+    batch = Predictor.batch
+    ended: list[int] = []
+    answers: list[tuple[int, bytes]] = []
+
+    def held(self: Predictor, images: list, **options: object) -> list[DepthMap]:
+        begun.set()
+        assert go_on.wait(PATIENCE)
+        return batch(self, images, **options)
+
+    monkeypatch.setattr(Predictor, "batch", held)
+    monkeypatch.setattr("os._exit", ended.append)
+    asking: list[threading.Thread] = []
+
+    def play(port: int) -> None:
+        asking.append(threading.Thread(target=lambda: answers.append(ask(port, "/v1/depth", photo()))))
+        asking[0].start()
+        assert begun.wait(PATIENCE)
+
+    try:
+        assert serve_and(play, "--model", model_file, "--threads", "1", "--grace", "1") == 143
+        assert ended == [143]
+    finally:
+        go_on.set()
+        for thread in asking:
+            thread.join()
+    assert [status for status, _ in answers] == [503]
 
 
 def test_several_processes_serve_together(model_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -190,7 +190,7 @@ class TestSize:
         for height, width in ((240, 320), (3000, 4000)):
             said = error(tmp_path / "matrix.npy", MATRIX, (height, width))
             assert (
-                f"the principal point, (325.582, 253.736), is far from the middle of the photo of {width} x {height}"
+                f"the principal point, (325.582, 253.736), is far from the middle of a photo of {width} x {height}"
                 in said
             )
         assert "width and height" in said

@@ -56,6 +56,11 @@ class Client:
         """Connections that the service has open, to all clients."""
         return len(self._server.server_state.connections)
 
+    @property
+    def n_stalled(self) -> int:
+        """Connections whose clients do not take their answers."""
+        return sum(each.flow.write_paused for each in tuple(self._server.server_state.connections))
+
     def ask(
         self, path: str, body: bytes | None = None, *, method: str = "", headers: Mapping[str, str] | None = None
     ) -> Answer:

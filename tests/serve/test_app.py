@@ -92,7 +92,8 @@ class TestDepth:
         "query",
         ["model=other", "domain=space", "format=gif", "fov_x=180", "fov_x=nan", "focal_px=0", "colour=1",
          "camera=exif&fov_x=50", "intrinsics=1,2,3", "vmin=3&vmax=2", "max_triangles=0", "flip=perhaps",
-         "focal_correction=yes", "calibration_scale=0", "intrinsics=-1,1,0,0"],
+         "focal_correction=yes", "calibration_scale=0", "intrinsics=-1,1,0,0", "focal_px=0.1",
+         "intrinsics=3300,3300,1919.5,1439.5"],
     )  # fmt: skip
     def test_what_cannot_be_is_invalid(self, query: str, client: Client) -> None:
         answer = client.ask(f"/v1/depth?{query}", photo())

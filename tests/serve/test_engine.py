@@ -188,8 +188,9 @@ def test_a_long_work_is_told_and_keeps_its_place_until_it_has_ended(model_file: 
         with pytest.raises(Problem) as caught:
             await engine.compute(photo(), Wanted(), whole, gone=gone())
         assert caught.value.kind == "took-too-long"
+        assert engine.gate.n_inside == 1
         go_on.set()
-        await until(lambda: not engine.is_computing)
+        await until(lambda: engine.gate.n_inside == 0)
 
     play(Settings((model_file,), threads=1, limits=replace(PATIENT, max_seconds=0.2)), game)
 
@@ -201,6 +202,24 @@ def test_the_time_in_which_the_body_came_counts(model_file: str) -> None:
         assert caught.value.kind == "took-too-long"
 
     play(Settings((model_file,)), game)
+
+
+def test_nobody_waits_for_a_turn_that_would_come_too_late(model_file: str, held: Held) -> None:
+    ran, go_on = held
+
+    async def game(engine: Engine) -> None:
+        first = asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone()))
+        await until(lambda: ran == [1])
+        late = time.perf_counter() - PATIENCE  # it took that long to send the photo
+        second = asyncio.ensure_future(engine.compute(photo(), Wanted(), whole, gone=gone(), began=late))
+        await asyncio.wait({second}, timeout=PATIENCE / 10)
+        go_on.set()
+        with pytest.raises(Problem) as caught:
+            await second
+        assert caught.value.kind == "waited-too-long"
+        await first
+
+    play(Settings((model_file,), threads=1, limits=PATIENT), game)
 
 
 def test_when_it_closes_who_waits_is_refused_and_who_is_computed_gets_an_answer(model_file: str, held: Held) -> None:
@@ -233,6 +252,9 @@ def test_what_takes_longer_than_the_grace_is_refused_shortly_before_its_end(mode
         with pytest.raises(Problem) as caught:
             await computed
         assert caught.value.kind == "shutting-down"
+        for task in asyncio.all_tasks() - {asyncio.current_task()}:  # as at the end of the event loop
+            task.cancel()
+        await until(lambda: engine.gate.n_inside == 0)
         assert engine.is_computing
         go_on.set()
         await until(lambda: not engine.is_computing)
@@ -252,6 +274,20 @@ def test_an_error_of_one_photo_is_its_own(model_file: str) -> None:
     assert short.kind == "unreadable-photo"
     assert isinstance(none, Problem)
     assert none.kind == "unsupported-format"
+
+
+def test_a_camera_of_one_photo_spoils_no_other_photo_of_its_batch(model_file: str) -> None:
+    async def game(engine: Engine) -> list[object]:
+        cameras = [Lens(fov_x=60), Lens(focal_px=0.1), Lens(fov_x=60)]
+        asked = [engine.compute(photo(), Wanted(camera=camera), whole, gone=gone()) for camera in cameras]
+        return await asyncio.gather(*asked, return_exceptions=True)
+
+    # The batch of two is full when both good ones are in it.
+    one, bad, other = play(Settings((model_file,), batch_size=2, batch_wait=PATIENCE, limits=PATIENT), game)
+    assert isinstance(one, tuple)
+    assert isinstance(other, tuple)
+    assert isinstance(bad, Problem)
+    assert bad.kind == "invalid-request"
 
 
 def test_a_photo_that_is_too_narrow_is_refused_by_its_header(model_file: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -46,7 +46,8 @@ def test_another_name_is_refused(host: str, client: Client) -> None:
 @pytest.mark.parametrize(
     "headers",
     [{"Origin": "https://example.org"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"},
-     {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}, {"Origin": "http://127.0.0.1:1"}],
+     {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"}, {"Origin": "http://127.0.0.1:1"},
+     {"Origin": "http://["}, {"Origin": "http://"}],
 )  # fmt: skip
 def test_pages_of_other_sites_are_refused(headers: dict[str, str], client: Client) -> None:
     for answer in (client.ask("/v1/models", headers=headers), client.ask("/v1/depth", photo(), headers=headers)):

@@ -7,6 +7,8 @@ from PIL import Image
 from tests import bombs
 from tests.serve.running import photo
 
+from zoedepth.errors import InputError
+from zoedepth.geometry.camera import Camera, Intrinsics
 from zoedepth.geometry.lens import Lens
 from zoedepth.serve.photos import MEDIA_TYPES, Decoded, check_photo, decode_photo
 from zoedepth.serve.problems import Problem
@@ -143,6 +145,29 @@ def test_a_camera_that_is_said_goes_before_the_notes() -> None:
     assert getattr(known.camera, "source", "") == "exif"
     assert "26 mm" in known.camera_note
     lens = Lens(fov_x=50)
-    assert decode_photo(content, lens, max_pixels=LIMIT).camera is lens
+    assert decode_photo(content, lens, max_pixels=LIMIT).camera == lens.camera((48, 64))
     unknown = decode_photo(photo(), "exif", max_pixels=LIMIT)
     assert (unknown.camera, unknown.camera_note) == ("none", "it has no EXIF")
+
+
+@pytest.mark.parametrize(
+    ("camera", "told"),
+    [
+        (
+            Intrinsics(3300, 3300, 1919.5, 1439.5),
+            r"\(1919\.5, 1439\.5\), is far from the middle of a photo of 64 x 48 .*Scale them",
+        ),
+        (Intrinsics(60, 60, 31.5, 2), r"\(31\.5, 2\), is far from the middle"),
+        (Lens(focal_px=0.1), "no lens"),
+    ],
+)
+def test_a_camera_of_another_photo_is_refused(camera: Intrinsics | Lens, told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        decode_photo(photo(64, 48), camera, max_pixels=LIMIT)
+
+
+def test_intrinsics_are_of_the_photo_as_it_is_seen() -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6  # a quarter turn
+    found = decode_photo(photo(128, 48, exif=exif), Intrinsics(100, 101, 23.5, 63.5), max_pixels=LIMIT)
+    assert found.camera == Camera((128, 48), 100, 101, 23.5, 63.5)

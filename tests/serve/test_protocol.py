@@ -5,7 +5,7 @@ import time
 from contextlib import suppress
 
 import pytest
-from tests.serve.running import Client, running
+from tests.serve.running import Client, photo, running
 from tests.servers import PATIENCE
 
 from zoedepth.serve.settings import Limits, Settings
@@ -58,6 +58,23 @@ def test_a_client_that_does_not_take_its_answer_is_cut_off(model_file: str) -> N
         whole = len(client.ask("/three.min.js").body)
         assert received < 40 * whole
         assert client.ask("/healthz").status == 200
+
+
+def test_a_byte_more_is_no_sign_that_the_answer_is_taken(model_file: str) -> None:
+    body = photo(1300, 1000, format="JPEG")
+    head = f"POST /v1/depth?format=maps HTTP/1.1\r\nHost: localhost\r\nContent-Length: {len(body)}\r\n\r\n"
+    with running(Settings((model_file,), limits=Limits(idle=0.5))) as client, socket.socket() as connection:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        connection.connect(("127.0.0.1", client.port))
+        connection.sendall(head.encode() + body)
+        deadline = time.monotonic() + PATIENCE
+        while not client.n_stalled:  # 12 MB are more than the buffers of the system hold
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        connection.sendall(b"G")
+        while client.n_connections:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
 
 
 def test_requests_in_a_row_on_one_connection_are_answered_in_order(client: Client) -> None:

@@ -2,14 +2,18 @@ import errno
 import logging
 import os
 import socket
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from tests.servers import PATIENCE
+from uvicorn.supervisors import Multiprocess
 
 from zoedepth.errors import InputError
 from zoedepth.serve.app import create_app
+from zoedepth.serve.metrics import FOLDER_VARIABLE
 from zoedepth.serve.protocol import PatientProtocol
-from zoedepth.serve.server import bind, make_config
+from zoedepth.serve.server import _Processes, bind, make_config
 from zoedepth.serve.settings import Limits, Settings
 
 
@@ -72,3 +76,25 @@ def test_handlers_of_other_libraries_stay_open(capsys: pytest.CaptureFixture[str
     make_config(None, Settings())
     logging.getLogger("uvicorn.access").info('%s - "%s %s HTTP/%s" %d', "1.2.3.4:5", "GET", "/readyz", "1.1", 200)
     assert capsys.readouterr().out == ""
+
+
+def test_the_gauges_of_a_process_that_died_are_forgotten(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def process(pid: int, *, alive: bool) -> SimpleNamespace:
+        return SimpleNamespace(pid=pid, process=SimpleNamespace(is_alive=lambda: alive))
+
+    def replace_dead(processes: Multiprocess) -> None:
+        monkeypatch.setattr(processes, "processes", [process(3, alive=True), process(2, alive=True)])
+
+    files = [tmp_path / f"{kind}_{pid}.db" for kind in ("gauge_livesum", "counter") for pid in (1, 2)]
+    for file in files:
+        file.touch()
+    monkeypatch.setenv(FOLDER_VARIABLE, str(tmp_path))
+    monkeypatch.setattr(Multiprocess, "__init__", lambda *_: None)  # it would take all signals of this process
+    monkeypatch.setattr(Multiprocess, "keep_subprocess_alive", replace_dead)
+    processes = _Processes(make_config(None, Settings()), [])
+    monkeypatch.setattr(processes, "processes", [process(1, alive=True), process(2, alive=True)], raising=False)
+    processes.keep_subprocess_alive()
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    monkeypatch.setattr(processes, "processes", [process(1, alive=False), process(2, alive=True)])
+    processes.keep_subprocess_alive()
+    assert sorted(tmp_path.iterdir()) == sorted(files[1:])

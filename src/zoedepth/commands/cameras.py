@@ -5,10 +5,10 @@ from pathlib import Path
 
 from zoedepth.claims import BinaryFile
 from zoedepth.errors import InputError
-from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.geometry.camera import Intrinsics
 from zoedepth.geometry.camera_files import read_cameras
 from zoedepth.geometry.choice import CameraChoice
-from zoedepth.geometry.lens import Lens, camera_of
+from zoedepth.geometry.lens import Lens, camera_of, off_middle
 from zoedepth.images import read_image
 
 
@@ -56,7 +56,13 @@ def chosen_camera(
             raise InputError(f"--camera must be exif, none or a file of a camera; there is no file {camera!r}")
         return read_cameras(Path(camera), _size_of_first(photos))
     if intrinsics is not None:
-        return _middle_looking(camera_of(Intrinsics(*intrinsics), _size_of_first(photos)))
+        known = camera_of(Intrinsics(*intrinsics), _size_of_first(photos))
+        if off := off_middle(known):
+            raise InputError(
+                f"--intrinsics: {off}. Are they of photos of another size, or was this one cropped? Write the size and "
+                "the intrinsics to a file, and give it by --camera"
+            )
+        return known
     if focal_px is not None:
         return camera_of(Lens(focal_px=focal_px), _size_of_first(photos))
     if names and camera is None:
@@ -75,15 +81,3 @@ def _size_of_first(photos: Iterable[Path | BinaryFile]) -> tuple[int, int]:
         else:
             return height, width
     raise failures[0]
-
-
-def _middle_looking(camera: Camera) -> Camera:
-    """Refuse intrinsics that were most likely made for photos of another size."""
-    for name, value, side in (("cx", camera.cx, camera.size[1]), ("cy", camera.cy, camera.size[0])):
-        if not side / 4 <= value + 0.5 <= side * 3 / 4:
-            raise InputError(
-                f"--intrinsics has {name} = {value:g}, far from the middle of a photo of {camera.size[1]} x "
-                f"{camera.size[0]} pixels. Are they of photos of another size, or was this one cropped? Write the size "
-                "and the intrinsics to a file, and give it by --camera"
-            )
-    return camera

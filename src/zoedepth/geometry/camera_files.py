@@ -11,7 +11,7 @@ import numpy as np
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, CameraSource, Intrinsics
-from zoedepth.geometry.lens import Cameras, camera_of
+from zoedepth.geometry.lens import Cameras, camera_of, off_middle
 from zoedepth.stored import MAX_NESTING, parse_json, read_npy, read_text
 
 _UNDISTORT = (
@@ -138,12 +138,10 @@ def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:
             f"{fov[1]:.4g} degrees, which is nonsense. Where they are in parts of the photo's sides, multiply "
             "them and the principal point by its width and height"
         )
-    middle = ((camera.cx + _HALF) / width, (camera.cy + _HALF) / height)
-    if not size_is_known and not all(1 / 4 <= part <= 3 / 4 for part in middle):
+    if not size_is_known and (off := off_middle(camera)):
         raise InputError(
-            f"the principal point, ({camera.cx:g}, {camera.cy:g}), is far from the middle of the photo of {width} x "
-            f"{height} pixels: this is the camera of a photo of another size, or of one that was cropped. Write it as "
-            "JSON, with fx, fy, cx, cy, and the width and height of the photo"
+            f"{off}: this is the camera of a photo of another size, or of one that was cropped. Write it as JSON, with "
+            "fx, fy, cx, cy, and the width and height of the photo"
         )
 
 

@@ -112,6 +112,20 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
     )
 
 
+def off_middle(camera: Camera) -> str:
+    """Return in words that a camera looks far from the middle of its photo; nothing where it does not.
+
+    Outside of the middle half, numbers are most likely those of a photo of another size, or of one that was cropped.
+    """
+    height, width = camera.size
+    if all(side / 4 <= value + 0.5 <= side * 3 / 4 for value, side in ((camera.cx, width), (camera.cy, height))):
+        return ""
+    return (
+        f"the principal point, ({camera.cx:g}, {camera.cy:g}), is far from the middle of a photo of {width} x {height} "
+        "pixels"
+    )
+
+
 def _checked(camera: Camera) -> Camera:
     """Refuse a focal length in another unit than pixels."""
     height, width = camera.size

@@ -4,7 +4,7 @@ import asyncio
 import errno
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -115,6 +115,26 @@ class _Job:
     result: asyncio.Future[DepthMap] = field(repr=False)
 
 
+class _Threads(ThreadPoolExecutor):
+    """Threads that know whether they have something to do."""
+
+    def __init__(self, n_threads: int, name: str) -> None:
+        super().__init__(n_threads, name)
+        self._tasks: set[Future[Any]] = set()
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Let a thread call a function."""
+        task = super().submit(fn, *args, **kwargs)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    @property
+    def are_busy(self) -> bool:
+        """True until everything is done that was not cancelled before it began."""
+        return not all(task.done() for task in self._tasks.copy())
+
+
 class Engine:
     """Models, threads and the gate before them. ``start`` loads the models; it belongs to one event loop.
 
@@ -154,10 +174,10 @@ class Engine:
         places = self.n_threads if self.batch_size == 1 else max(self.n_threads, 2 * self.batch_size)
         self.gate = Gate(places, settings.limits.queue, self._watch)
         """The queue."""
-        self._workers = ThreadPoolExecutor(places, "photo")
-        self._lookers = ThreadPoolExecutor(_LOOKERS, "header")
+        self._workers = _Threads(places, "photo")
+        self._lookers = _Threads(_LOOKERS, "header")
         # A batch keeps the whole device busy; photos one by one each have cores of their own.
-        self._runners = ThreadPoolExecutor(self.n_threads if self.batch_size == 1 else 1, "model")
+        self._runners = _Threads(self.n_threads if self.batch_size == 1 else 1, "model")
         self.ready = True
 
     def close(self) -> None:
@@ -184,8 +204,8 @@ class Engine:
 
     @property
     def is_computing(self) -> bool:
-        """True while threads compute something."""
-        return bool(self.models) and self.gate.n_inside > 0
+        """True while threads compute something, whoever waits for it."""
+        return bool(self.models) and any(threads.are_busy for threads in (self._lookers, self._workers, self._runners))
 
     def model(self, wanted: Wanted) -> Model:
         """Return the model that is wanted.
@@ -234,7 +254,8 @@ class Engine:
                 self._lookers, lambda: check_photo(content, max_pixels=limits.max_pixels)
             )
             predictor.network_size(header.size)  # refuses those that are too narrow
-        if not await self.gate.enter(seconds=limits.max_wait, gone=gone):
+        patience = max(0.0, min(limits.max_wait, until - time.perf_counter()))
+        if not await self.gate.enter(seconds=patience, gone=gone):
             self._metrics.dropped.inc()
             raise ClientGone
         waited = time.perf_counter() - started

@@ -11,7 +11,6 @@ import time
 from collections.abc import Awaitable, Callable, MutableMapping
 from contextlib import suppress
 from typing import Any
-from urllib.parse import urlsplit
 
 from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.problems import ClientGone, Problem
@@ -151,8 +150,8 @@ class Guard:
             ):
                 raise Problem("other-origin", "This was asked by a page of another site.")
             return
-        same = urlsplit(origin).netloc == headers.get("host") if "://" in origin else False
-        if not same and origin not in self._settings.origins:
+        _, _, site = origin.partition("://")
+        if site != headers.get("host") and origin not in self._settings.origins:
             raise Problem(
                 "other-origin",
                 f"A page of {origin[:100]!r} may not use this service. Whoever runs it can allow that: --allow-origin.",

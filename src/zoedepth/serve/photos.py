@@ -5,12 +5,14 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from zoedepth.claims import AVIF_BRANDS, HEIC_BRANDS, HEIC_IS_READ, check_claims, media_brands
 from zoedepth.errors import InputError, InputWarning
-from zoedepth.geometry.choice import CameraChoice
+from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.geometry.choice import CameraChoice, known_without_notes
 from zoedepth.geometry.exif import read_exif_camera
+from zoedepth.geometry.lens import off_middle
 from zoedepth.images import ImageArray, read_image, read_image_with_notes
 from zoedepth.pictures import is_panorama, n_full_pages, open_picture
 from zoedepth.serve.problems import Problem, sentence
@@ -57,7 +59,7 @@ class Decoded(NamedTuple):
 
     image: ImageArray
     """The photo, RGB, upright."""
-    camera: CameraChoice
+    camera: Camera | Literal["none"]
     """The camera that was asked for, or the one that the photo's notes tell; "none" where nobody knows it."""
     camera_note: str
     """The notes in a few words, see ``DepthMap.camera_note``."""
@@ -112,19 +114,21 @@ def decode_photo(content: bytes, camera: CameraChoice, *, max_pixels: int) -> De
 
     Raises:
         Problem: it cannot be read.
+        InputError: the camera that was asked for is that of no photo of this size.
     """
     file = _Upload(content)
     _heard.warnings = heard = []
     try:
-        if camera != "exif":
-            return Decoded(read_image(file, max_pixels=max_pixels), camera, "", tuple(heard))
-        image, notes = read_image_with_notes(file, max_pixels=max_pixels)
-        known = read_exif_camera(notes, (image.shape[0], image.shape[1]))
-        return Decoded(image, known.camera or "none", known.reason, tuple(heard))
+        if camera == "exif":
+            image, notes = read_image_with_notes(file, max_pixels=max_pixels)
+            known = read_exif_camera(notes, (image.shape[0], image.shape[1]))
+            return Decoded(image, known.camera or "none", known.reason, tuple(heard))
+        image = read_image(file, max_pixels=max_pixels)
     except InputError as error:
         raise Problem("unreadable-photo", sentence(error)) from error
     finally:
         _heard.warnings = None
+    return Decoded(image, _camera(camera, (image.shape[0], image.shape[1])), "", tuple(heard))
 
 
 @contextmanager
@@ -144,6 +148,17 @@ def hear_warnings() -> Iterator[None]:
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = show
         yield
+
+
+def _camera(choice: CameraChoice, size: tuple[int, int]) -> Camera | Literal["none"]:
+    """Return the camera of a photo of ``size`` (height, width); refuse intrinsics most likely made for another size."""
+    camera = known_without_notes(choice, size)
+    if camera is not None and isinstance(choice, Intrinsics) and (off := off_middle(camera)):
+        raise InputError(
+            f"intrinsics: {off}. Are they of photos of another size, or was this one cropped? Scale them to the size "
+            "of this photo, or give focal_px or a field of view instead"
+        )
+    return camera or "none"
 
 
 def _format(start: bytes) -> str | None:

@@ -13,6 +13,7 @@ from dataclasses import asdict, replace
 from typing import Any
 
 import uvicorn
+from prometheus_client.multiprocess import mark_process_dead
 from uvicorn.config import STARTUP_FAILURE
 from uvicorn.logging import AccessFormatter, DefaultFormatter
 from uvicorn.supervisors import Multiprocess
@@ -106,11 +107,16 @@ class _Processes(Multiprocess):
     """Processes that know which signal has ended them."""
 
     ended_by = signal.SIGTERM
+    _counted: frozenset[int | None] = frozenset()
 
     def keep_subprocess_alive(self) -> None:
         """Replace processes that have died. One that is slow, on a busy machine, is waited for."""
         if not all(process.process.is_alive() for process in self.processes):
             super().keep_subprocess_alive()
+        now = frozenset(process.pid for process in self.processes)
+        for pid in self._counted - now:  # what it computed and who waited for it went with it
+            mark_process_dead(pid)
+        self._counted = now
 
     def handle_int(self) -> None:
         """Remember the signal, and end."""
