@@ -127,6 +127,18 @@ class TestFindPhotos:
         targets = self.targets(tmp_path / "left/a.jpg", tmp_path / "right/a.jpg", out=tmp_path / "out")
         assert targets == {"left/a.jpg": "a.jpg", "right/a.jpg": "a.jpg-2"}
 
+    def test_a_folder_is_called_as_it_was_typed(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name in ("vol7/a.jpg", "set1/sub/b.jpg"):
+            (tmp_path / name).parent.mkdir(parents=True)
+            (tmp_path / name).touch()
+        (tmp_path / "set2").symlink_to("vol7")
+        monkeypatch.chdir(tmp_path / "set1" / "sub")
+        for sources in ((tmp_path / "set2", ".."), (tmp_path / "set2", tmp_path / "set1")):
+            found = find_photos(map(str, sources), Path("out"))
+            assert [photo.target.as_posix() for photo in found.photos] == ["out/set2/a", "out/set1/sub/b"]
+        found = find_photos([".", str(tmp_path / "set2")], Path("out"))
+        assert [photo.target.as_posix() for photo in found.photos] == ["out/sub/b", "out/set2/a"]
+
     def test_glob_keeps_the_tree_below_its_fixed_part(self, tmp_path: Path) -> None:
         for name in ("in/a/1.jpg", "in/b/1.JPG", "in/b/notes.txt"):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -240,7 +240,28 @@ class TestEntries:
             n_requests = len(server.requests)
             torch.hub.load(str(REPO), "ZoeD_N", source="local", pretrained=url)
             assert len(server.requests) == n_requests
-        assert (tmp_path / "torch/hub/checkpoints/n.safetensors").is_file()
+        (kept,) = (tmp_path / "torch/hub/checkpoints").rglob("*.safetensors")
+        assert kept.name == "n.safetensors"
+
+    def test_each_address_has_weights_of_its_own(self, tiny_presets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+        monkeypatch.setenv("TORCH_HOME", str(tmp_path / "torch"))
+        folder, release = torchhub.download_folder(), torchhub.RELEASES["zoed-m12-n"]
+        addresses = ["https://a.org/model.pt", "https://b.org/model.pt", "https://a.org/model.pt?v=2"]
+        loaded = []
+        monkeypatch.setattr(torchhub, "download", lambda url, path: loaded.append(path) or path)
+        monkeypatch.setattr(torchhub, "load_network", lambda source, compat: as_loaded(tiny_presets["zoed-m12-n"]))
+        for address in (*addresses, f"https://mine.org/{release.file}", release.url):
+            torch.hub.load(str(REPO), "ZoeD_N", source="local", pretrained=f"url::{address}")
+        assert len(set(loaded)) == 5
+        assert release.path not in loaded[:4]
+        assert loaded[4] == release.path == folder / release.file  # the original's own address is the release
+
+    @pytest.mark.parametrize(
+        "address", ["https://a.org", "https://a.org/", "https://a.org/weights/?v=2", "http://a/.."]
+    )
+    def test_an_address_without_a_file_name_is_refused(self, address: str):
+        with pytest.raises(InputError, match="has no file name: give the address of a file"):
+            torch.hub.load(str(REPO), "ZoeD_N", source="local", pretrained=address)
 
     @pytest.mark.parametrize(("mode", "resize"), [("infer", "keep-aspect"), ("eval", "squeeze"), ("train", "squeeze")])
     def test_modes_keep_or_squeeze_the_proportions(self, tiny_presets, mode: str, resize: str):

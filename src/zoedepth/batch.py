@@ -308,7 +308,7 @@ def walk_photos(
         listing = Listing()
         if path.is_dir():
             root = path
-            place = above if above is not None else path.resolve().name if several_folders else ""
+            place = above if above is not None else own_name(path) if several_folders else ""
             folders = walk_files(path, listing)
         elif glob.has_magic(source):
             root, place = _fixed_part(source), above or ""
@@ -327,6 +327,14 @@ def walk_photos(
         found.unreadable.update(listing.unreadable)
         found.left_out.update(listing.left_out)
     yield from _new(named, seen, taken)
+
+
+def own_name(path: Path) -> str:
+    """Return the last part of a path as it was typed, since a link's target may be called otherwise on each machine.
+
+    Of ``.`` and ``..`` it is the name of the folder that they stand for.
+    """
+    return path.resolve().name if path.name in ("", "..") else path.name
 
 
 def _photos(files: Iterable[Path], found: Found, known: Callable[[Path], bool]) -> Iterator[Path]:

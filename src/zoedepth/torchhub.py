@@ -1,5 +1,6 @@
 """The original's interface to a model, for its ``torch.hub`` users. ``hubconf.py`` builds on it."""
 
+import hashlib
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlparse
@@ -21,7 +22,7 @@ from zoedepth.pixels import check_pixels, resize_pixels
 from zoedepth.predict import Predictor
 from zoedepth.presets import ENCODERS, PRESETS, with_compat, with_encoder
 from zoedepth.weights.load import load_network
-from zoedepth.weights.releases import download_folder
+from zoedepth.weights.releases import RELEASES, download_folder
 
 MIDAS_MODELS = {
     "DPT_BEiT_L_384": "beit_large_patch16_384",
@@ -157,7 +158,7 @@ def build(
         compat: see ``presets.COMPAT``.
 
     Raises:
-        InputError: a name is unknown, or the weights belong to another kind of model.
+        InputError: a name is unknown, an address has no file name, or the weights belong to another kind of model.
     """
     if config_mode not in ("infer", "eval", "train"):
         raise InputError(f"config_mode must be 'infer', 'eval' or 'train', got {config_mode!r}")
@@ -184,8 +185,24 @@ def build(
 def _load(source: str, compat: tuple[str, ...]) -> DepthModel:
     source = source.removeprefix("local::").removeprefix("url::")
     if source.startswith(("http://", "https://")):
-        source = str(download(source, download_folder() / Path(urlparse(source).path).name))
+        source = str(download(source, _kept_at(source)))
     return load_network(source, compat=compat)
+
+
+def _kept_at(address: str) -> Path:
+    """Return where the weights of an address are kept: those of a release at its place, others in a folder of theirs.
+
+    Many files are called model.pt, and one address may give another file by its query.
+
+    Raises:
+        InputError: the address has no file name.
+    """
+    if released := next((release.path for release in RELEASES.values() if release.url == address), None):
+        return released
+    name = urlparse(address).path.rpartition("/")[2]
+    if name in ("", ".", ".."):
+        raise InputError(f"{address} has no file name: give the address of a file of weights, e.g. https://…/model.pt")
+    return download_folder() / hashlib.sha256(address.encode()).hexdigest()[:16] / name
 
 
 def _kind(config: AnyModelConfig) -> tuple[int, str]:

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from tests.jobs.photos import run, write_photos
+from tests.jobs.photos import run, write_photo, write_photos
 
 from zoedepth.cli import main
 
@@ -42,6 +42,16 @@ def test_failed(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (line,) = capsys.readouterr().out.splitlines()
     assert line.startswith(f"{out.parent / 'in' / 'bad'}")
     assert "not an image" in line
+
+
+def test_a_named_photo_hides_no_failure(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["jobs", "merge", str(out)])
+    run(write_photo(out.parent / "x.png"), out=out, settings={"weights": "2"})
+    capsys.readouterr()
+    assert main(["jobs", "status", str(out)]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "together: 9 done, 1 failed"
+    assert main(["jobs", "status", str(out), "--failed"]) == 1
+    assert len(capsys.readouterr().out.splitlines()) == 1
 
 
 def test_merge(out: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -630,6 +630,16 @@ class TestJobs:
         assert predict(folder, "--shard", "2/2", out=tmp_path / "out") == 2
         assert "--shard must be i/n" in capsys.readouterr().err
 
+    def test_shards_of_nothing(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        """A folder without a photo, such as that of a disk that is not there, is not done."""
+        (tmp_path / "disk").mkdir()
+        (tmp_path / "list.txt").write_text("\n")
+        for source in (tmp_path / "disk", tmp_path / "list.txt"):
+            assert predict(source, "--shard", "0/4", out=tmp_path / "out") == 2
+            assert "No photos to predict" in capsys.readouterr().err
+        (tmp_path / "list.txt").write_text(f"{write_photo(tmp_path / 'a.png')}\n")
+        assert predict(tmp_path / "list.txt", "--shard", "99999/100000", out=tmp_path / "out") == 0
+
     def test_more_photos_than_are_listed_first(
         self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -96,6 +96,27 @@ class TestHere:
         targets = {each.name: each.target.as_posix() for shard in shards for each in shard}
         assert targets == found(folder)
 
+    def test_shards_are_the_same_where_a_source_is_a_link(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """The folder ``set2`` of one machine may be a link to ``vol7`` on the other; archives as well."""
+        places = []
+        for machine, real in (("a", "set2"), ("b", "vol7")):
+            here = tmp_path / machine
+            write_photos(here / "set1")
+            write_photos(here / real)
+            write_zip(here / f"{real}.zip", members(here / real))
+            if real != "set2":
+                (here / "set2").symlink_to(real)
+                (here / "set2.zip").symlink_to(f"{real}.zip")
+            monkeypatch.chdir(here)
+            for sources in (("set1", "set2"), ("./set1/", "set2/"), ("set1", "set2.zip")):
+                places.append({str(each.place) for each in Sources(sources, shard=JobShard(0, 2)).inputs()})
+            monkeypatch.chdir(here / "set1")
+            places.append({str(each.place) for each in Sources((".", "../set2"), shard=JobShard(0, 2)).inputs()})
+        assert places[0]
+        assert all(each == places[0] for each in places)
+
     def test_it_is_counted_without_a_second_word_about_what_failed(self, folder: Path) -> None:
         sources = Sources((str(folder), str(folder / "none.jpg")))
         list(sources.inputs())
@@ -223,6 +244,23 @@ class TestArchives:
         files = {"../../a.png": b"1", "/etc/b.png": b"1", "c/../../d.png": b"1"}
         for archive in (write_zip(tmp_path / "a.zip", files), write_tar(tmp_path / "a.tar", files)):
             assert set(found(archive).values()) == {"a", "etc/b", "d"}
+
+    @pytest.mark.parametrize(("ending", "mode"), [("tar", "w"), ("tar.gz", "w:gz")])
+    def test_links_in_a_tar_file_are_counted(self, folder: Path, tmp_path: Path, ending: str, mode: str) -> None:
+        content = members(folder)["day 0/0.png"]
+        with tarfile.open(tmp_path / f"a.{ending}", mode) as archive:  # pyright: ignore[reportCallIssue, reportArgumentType]
+            info = tarfile.TarInfo("a.png")
+            info.size = len(content)
+            archive.addfile(info, io.BytesIO(content))
+            links = {"b.png": tarfile.LNKTYPE, "c.png": tarfile.SYMTYPE, "notes": tarfile.LNKTYPE}
+            for name, kind in {**links, "folder": tarfile.DIRTYPE}.items():
+                info = tarfile.TarInfo(name)
+                info.type, info.linkname = kind, "a.png"
+                archive.addfile(info)
+        sources = Sources((str(tmp_path / f"a.{ending}"),))
+        assert [each.target.as_posix() for each in sources.inputs()] == ["a"]
+        reason = "links in an archive, which have no bytes of their own: unpack it"
+        assert sources.found.left_out == {reason: 2, "files of other kinds": 1}
 
     def test_a_changed_member_is_done_again(self, folder: Path, tmp_path: Path) -> None:
         archive, files = tmp_path / "a.zip", members(folder)

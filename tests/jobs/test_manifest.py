@@ -136,6 +136,48 @@ class TestOtherSettings:
         write(path, A)
         assert found(path, A.input, B.input) == [A, B]
 
+    def test_those_of_the_last_job_count(self, path: Path) -> None:
+        write(path, A, B, BROKEN)
+        write(path, replace(B, size=5), settings=OTHER, named=True)  # a folder would do it again
+        manifest = Manifest(path)
+        assert (manifest.n_done, manifest.n_failed) == (1, 1)
+        assert list(manifest.current()) == [A, BROKEN]
+        manifest.close()
+
+    def test_photos_that_are_named_all_count(self, path: Path) -> None:
+        write(path, A, BROKEN, named=True)
+        write(path, B, settings=OTHER, named=True)
+        manifest = Manifest(path)
+        assert (manifest.n_done, manifest.n_failed) == (2, 1)
+        assert list(manifest.current()) == [A, BROKEN, B]
+        assert list(manifest.current(fingerprint_of(OTHER))) == [B]
+        manifest.close()
+
+
+class TestWhole:
+    def find(self, path: Path, settings: dict[str, object] = SETTINGS) -> list[Entry | None]:
+        whole = Manifest(path)
+        shard = Manifest(path.with_name("shard.jsonl"), whole=whole)
+        shard.begin(settings, named=False)
+        result = [shard.find(entry.input) for entry in (A, B, BROKEN)]
+        shard.close()
+        whole.close()
+        return result
+
+    def test_what_is_done_by_the_whole_job_is_done(self, path: Path) -> None:
+        write(path, A, BROKEN)
+        write(path.with_name("shard.jsonl"), B)
+        assert self.find(path) == [A, B, None]
+
+    def test_other_settings_are_others(self, path: Path) -> None:
+        write(path, A)
+        assert self.find(path, OTHER) == [None] * 3
+
+    def test_overwrite_forgets_it(self, path: Path) -> None:
+        write(path, A, B)
+        write(path.with_name("shard.jsonl"), B, overwrite=True)  # killed before it came to A
+        assert self.find(path) == [None, B, None]
+
 
 def test_what_is_no_manifest_is_refused_and_kept(path: Path) -> None:
     path.parent.mkdir()

@@ -33,6 +33,29 @@ def test_signatures_are_secrets_and_other_queries_are_part_of_the_name() -> None
     assert Address("https://a.org/photo?id=3").name == "https://a.org/photo?id=3"
 
 
+@pytest.mark.parametrize(
+    "signature",
+    [
+        "X-Amz-Algorithm=AWS4&X-Amz-Credential=a&X-Amz-Date=1&X-Amz-Expires=9&X-Amz-SignedHeaders=host&X-Amz-Signature=b",
+        "AWSAccessKeyId=a&Expires=9&Signature=b",
+        "X-Goog-Algorithm=a&X-Goog-Credential=b&X-Goog-Date=1&X-Goog-Expires=9&X-Goog-SignedHeaders=c&X-Goog-Signature=d",
+        "GoogleAccessId=a&Expires=9&Signature=b",
+        "Policy=a&Signature=b&Key-Pair-Id=c",
+        "sv=2022-11-02&ss=b&srt=o&sp=r&st=1&se=9&spr=https&sip=1.2.3.4&sr=b&skoid=a&sktid=b&skt=1&ske=9&sks=b&skv=1&sig=c",
+        "sig=a",
+    ],
+)
+def test_a_signature_leaves_the_rest_of_the_query(signature: str) -> None:
+    names = [Address(f"https://a.org/img?id={i}&{signature}&versionId=7").name for i in (1, 2)]
+    assert names == [f"https://a.org/img?id={i}&versionId=7" for i in (1, 2)]
+    assert Address(f"https://a.org/img?{signature}").name == "https://a.org/img"
+
+
+def test_what_only_azure_calls_a_part_of_a_signature_stays_elsewhere() -> None:
+    assert Address("https://a.org/img?se=4&sig=a").name == "https://a.org/img?se=4"
+    assert Address("https://a.org/img?sv=1&expires=2").name == "https://a.org/img?sv=1&expires=2"
+
+
 @pytest.mark.parametrize("error", [ConnectionResetError("reset"), RuntimeError("reset")])  # clients have their own
 def test_an_address_is_read_again_where_the_network_fails(error: Exception, monkeypatch: pytest.MonkeyPatch) -> None:
     store = fsspec.filesystem("memory")

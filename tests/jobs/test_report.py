@@ -1,5 +1,6 @@
 """A job as a whole: its shards add up, and one manifest of theirs goes on where they were."""
 
+import errno
 from pathlib import Path
 
 import fsspec
@@ -55,6 +56,47 @@ def test_merged_it_goes_on_without_shards(job: Path) -> None:
     assert len({entry.input for entry in entries(job / "zoedepth-manifest.jsonl") if entry.status == "done"}) == 10
     with pytest.raises(InputError, match="no shards to merge"):
         merge_shards(str(job))
+
+
+def test_merged_it_goes_on_with_other_shards(job: Path) -> None:
+    n_done = merge_shards(str(job))
+    tallies = [run(job.parent / "in", out=job, shard=f"{i}/2")[1] for i in range(2)]
+    assert sum(tally.before for tally in tallies) == n_done
+    assert sum(tally.done for tally in tallies) == 9 - n_done
+    assert merge_shards(str(job)) == 9
+
+
+def test_a_named_photo_of_other_settings_changes_nothing_of_the_job(job: Path) -> None:
+    run(job.parent / "in", out=job, shard="1/3")
+    before = [entry.input for entry in read_failures(str(job))]
+    assert len(before) == 1
+    photo = write_photo(job.parent / "x" / "new.png")
+    for shard in range(3):
+        run(photo, out=job, shard=f"{shard}/3", settings={"weights": "2"})
+    found = read_status(str(job))
+    assert (sum(each.done for each in found), sum(each.failed for each in found)) == (9, 1)
+    assert len({each.fingerprint for each in found}) == 1
+    assert [entry.input for entry in read_failures(str(job))] == before
+    assert merge_shards(str(job)) == 9
+
+
+def test_shards_of_named_photos_are_merged(tmp_path: Path) -> None:
+    """So a shell hands over photos/*.png. A photo that was tried before with other settings is none of the job."""
+    photos = sorted(write_photos(tmp_path / "in", 6).rglob("*.png"))
+    run(photos[1], out=tmp_path / "out", settings={"weights": "2"})
+    run(photos[0], out=tmp_path / "out")
+    for shard in ("0/2", "1/2"):
+        run(*photos, out=tmp_path / "out", shard=shard)
+    assert merge_shards(str(tmp_path / "out")) == 6
+
+
+@pytest.mark.parametrize("error", [PermissionError(errno.EACCES, "Permission denied"), OSError(errno.EIO, "I/O error")])
+def test_a_lock_that_cannot_be_asked_says_nothing(job: Path, error: OSError, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr("filelock.FileLock.acquire", refuse)
+    assert [each.running for each in read_status(str(job))] == [None, None]
 
 
 def test_what_is_in_the_whole_already_stays(job: Path) -> None:

@@ -234,7 +234,7 @@ def predict(
             _tell_left_out(listing.found, console)
             searched = ", ".join(sources) or "no source given"
             n_ignored = listing.found.n_ignored
-            if part.count > 1 and not listing.found.unreadable:  # with few photos, some shards have none
+            if part.count > 1 and listing.any_listed and not listing.found.unreadable:  # other shards have them all
                 console.print(f"No photos in shard {part} ({escape(searched)}): nothing to do", soft_wrap=True)
                 return 0
             console.print(f"No photos to predict ({escape(searched)}; {n_ignored} other files).", soft_wrap=True)

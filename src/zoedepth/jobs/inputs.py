@@ -22,7 +22,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO, cast
 
-from zoedepth.batch import Found, Origin, left_out, targets, walk_photos
+from zoedepth.batch import Found, Origin, left_out, own_name, targets, walk_photos
 from zoedepth.data.names import Finder
 from zoedepth.data.tables import SEPARATORS
 from zoedepth.errors import OPTIONAL, InputError, MissingExtraError, no_such
@@ -88,6 +88,8 @@ class Sources:
 
     These files are not opened to see whether this package wrote them. It may be set while the inputs are listed: it is
     asked from the next folder on."""
+    any_listed: bool = False
+    """True as soon as an input was listed, of whatever shard."""
 
     def __post_init__(self) -> None:
         for name in self.names:
@@ -151,6 +153,7 @@ class Sources:
             above = None if not several else _stem(group[0]) if Path(group[0]).is_dir() else ""
             photos = walk_photos(group, found, seen=seen, taken=taken, above=above, known=known)
             for path, place, target in photos:
+                self.any_listed = True
                 if self.shard.holds(place):
                     yield Input(os.path.abspath(path), place, target, path)
 
@@ -162,6 +165,7 @@ class Sources:
             new = [each for each in some if seen.add(each.name)]
             places = [PurePosixPath(above) / each.place for each in new]
             for each, place, target in zip(new, places, targets(places, taken), strict=True):
+                self.any_listed = True
                 if self.shard.holds(place):
                     yield Input(each.name, place, target, each.path, each.origin, each.size, each.version)
 
@@ -225,7 +229,7 @@ def _kind(name: str) -> str:
 
 def _stem(name: str) -> str:
     """Return the name of a folder, an archive or a prefix without its suffixes, for a folder of its own."""
-    last = posixpath.basename(name.rstrip("/")) if is_address(name) else Path(name).resolve().name
+    last = posixpath.basename(name.rstrip("/")) if is_address(name) else own_name(Path(name))
     suffix = next((suffix for suffix in (*ZIPS, *TARS) if last.lower().endswith(suffix)), "")
     return "" if glob.has_magic(last) else last[: len(last) - len(suffix)]
 
@@ -370,7 +374,11 @@ def _of_tar(name: str, found: Found) -> Iterator[_Listed]:
         while (member := tar.next()) is not None:
             tar.members = []  # of ten million it would keep each
             place = _plain(member.name)
-            if not member.isreg() or not _is_photo(place, found):
+            is_link = member.islnk() or member.issym()
+            if not (member.isreg() or is_link) or not _is_photo(place, found):
+                continue
+            if is_link:  # to find what it leads to, the places of all members would have to be kept
+                found.left_out["links in an archive, which have no bytes of their own: unpack it"] += 1
                 continue
             if plain and not member.issparse():
                 origin: Origin = TarMember(archive, member.name, member.offset_data, member.size)

@@ -12,6 +12,10 @@ from zoedepth.errors import InputError
 _NO_LOCKS = {errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOLCK}  # what file systems without locks answer
 
 
+class HeldError(InputError):
+    """The lock is another command's."""
+
+
 def this_process() -> str:
     """Return the name of this process for people: its number, and the machine it runs on."""
     return f"process {os.getpid()} on {socket.gethostname()}"
@@ -35,7 +39,8 @@ def only_one(manifest: Path) -> Iterator[None]:
         manifest: the manifest. The lock is a file beside it, which stays (``lock_file``).
 
     Raises:
-        InputError: another command has the lock, or the file cannot be made.
+        HeldError: another command has the lock.
+        InputError: the file cannot be made.
     """
     from filelock import FileLock, SoftFileLock, Timeout
 
@@ -55,7 +60,7 @@ def only_one(manifest: Path) -> Iterator[None]:
             advice = f"{advice}. If it does not run any more, delete {path}"
             lock.acquire()
     except Timeout as error:
-        raise InputError(f"another command works on {manifest} ({holder}): {advice}") from error
+        raise HeldError(f"another command works on {manifest} ({holder}): {advice}") from error
     except OSError as error:
         raise InputError(f"cannot write to {manifest.parent} ({error.strerror or error})") from error
     try:

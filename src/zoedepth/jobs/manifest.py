@@ -32,6 +32,7 @@ NAME = "zoedepth-manifest"
 _BEGINS = b'{"zoedepth_manifest": 1, '
 _MAX_LINE = 1 << 20  # bytes
 _AT_ONCE = 10_000  # lines that go into the index together
+_COUNTED = "(:run IS NULL OR run = :run)"  # of the index: by all settings, or by these
 _Row = tuple[bytes, int, int, str, str]  # of the index, as its table is
 
 
@@ -110,20 +111,22 @@ class Manifest:
 
     Args:
         path: the file; it need not exist. Its lock must be held (``lock.only_one``).
+        whole: the manifest of the whole job, if this is a shard's: what is done there is done.
 
     Raises:
         InputError: the file is not a manifest.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, whole: "Manifest | None" = None) -> None:
         self.path = path
+        self._whole = whole
         self.name = str(path)
         """The path or the address, for people."""
         self.fingerprint = ""
         self.runs: list[dict[str, Any]] = []
         """The commands that have worked on it, as their first lines say."""
         self.n_done = self.n_failed = 0
-        """Inputs that are done by the settings of the last command, and those that have only failed."""
+        """Inputs that are done by the settings that count (``counted``), and those that have only failed."""
         self._lock = threading.Lock()
         self._database = temporary_database()
         self._database.execute(
@@ -136,6 +139,19 @@ class Manifest:
             if not is_manifest(path):
                 raise InputError(f"{path} is not a manifest of zoedepth: move it, or choose another folder")
             self._read()
+
+    @property
+    def last_job(self) -> dict[str, Any] | None:
+        """The last command with more than photos that were named one by one; None where there was none."""
+        return next((run for run in reversed(self.runs) if not run.get("named")), None)
+
+    @property
+    def counted(self) -> str | None:
+        """The fingerprint of the settings whose entries count: those of the last job.
+
+        None: photos were only named one by one. These may have settings of their own, and all count.
+        """
+        return None if self.last_job is None else self.last_job["fingerprint"]
 
     def begin(self, settings: Mapping[str, object], *, named: bool, overwrite: bool = False) -> None:
         """Write the line of a command that begins; from now on entries are its.
@@ -152,9 +168,8 @@ class Manifest:
             OSError: it cannot be written.
         """
         fingerprint = fingerprint_of(settings)
-        jobs = [run for run in self.runs if not run.get("named")]
         forget = overwrite and not named
-        last = jobs[-1] if jobs else None
+        last = self.last_job
         if not named and not forget and last is not None and last["fingerprint"] != fingerprint:
             raise InputError(
                 f"{self.name} is the manifest of a job with other settings: {_difference(last, settings)}. Give the "
@@ -183,8 +198,13 @@ class Manifest:
 
     def find(self, name: str) -> Entry | None:
         """Return the entry of an input that is done by the settings of this command; None where there is none."""
-        name = readable(name)
-        asked = (row_key(name), self.fingerprint)
+        entry = self._find(readable(name), self.fingerprint)
+        if entry is None and self._whole is not None and not any(run.get("overwrite") for run in self.runs):
+            entry = self._whole._find(readable(name), self.fingerprint)
+        return entry
+
+    def _find(self, name: str, fingerprint: str) -> Entry | None:
+        asked = (row_key(name), fingerprint)
         with self._lock:
             row = self._database.execute(
                 "SELECT place FROM entries WHERE key = ? AND done AND run = ?", asked
@@ -195,12 +215,16 @@ class Manifest:
             entry = parse_line(self._reader.readline(_MAX_LINE + 1))
         return entry if isinstance(entry, Entry) and entry.input == name else None
 
-    def current(self) -> Iterator[Entry]:
+    def current(self, fingerprint: str | None = None) -> Iterator[Entry]:
         """Yield the entries that hold: of each input that was done, its last success, and of others, a failure.
 
-        They come in the order of the file. Only those count that a command with the settings of the last one wrote.
+        They come in the order of the file.
+
+        Args:
+            fingerprint: settings; the entries of others are left out. None: those that count (``counted``).
         """
-        rows = self._database.execute("SELECT place FROM entries WHERE run = ? ORDER BY place", (self.fingerprint,))
+        asked = {"run": fingerprint or self.counted}
+        rows = self._database.execute(f"SELECT place FROM entries WHERE {_COUNTED} ORDER BY place", asked)
         if not self.path.exists():
             return
         with self.path.open("rb") as file:
@@ -273,8 +297,10 @@ class Manifest:
         if self.runs:
             self.fingerprint = fingerprint
             self._reader = self.path.open("rb")
-        count = "SELECT COUNT(*) FROM entries WHERE done = ?"
-        self.n_done, self.n_failed = (self._database.execute(count, (done,)).fetchone()[0] for done in (1, 0))
+        count = f"SELECT COUNT(*) FROM entries WHERE done = :done AND {_COUNTED}"
+        self.n_done, self.n_failed = (
+            self._database.execute(count, {"run": self.counted, "done": done}).fetchone()[0] for done in (1, 0)
+        )
 
     def _keep(self, rows: list[_Row]) -> None:
         """Put lines into the index. A success stays, whatever fails after it by the same settings."""

@@ -19,7 +19,10 @@ TRIES = 4
 
 _FIRST_WAIT = 0.5  # seconds before the second try; each that follows waits twice as long
 
-_SIGNED = re.compile(r"(?i)(^|&)(x-amz-|x-goog-|signature=|sig=|awsaccesskeyid=)")
+# Names of parameters: those that only signed addresses have; others of theirs; others of Azure's, which has sv and sig.
+_SIGNATURE = re.compile(r"(?i)x-amz-.*|x-goog-.*|signature|sig|awsaccesskeyid")
+_BESIDE_SIGNATURE = re.compile(r"(?i)expires|googleaccessid|key-pair-id|policy|hash-algorithm")
+_OF_AZURE = re.compile(r"sv|ss|srt|sp|st|se|spr|sip|sr|si|sdd|ses|scid|saoid|suoid|sk(oid|tid|t|e|s|v)")
 
 Result = TypeVar("Result")
 
@@ -101,7 +104,13 @@ class Address:
     def name(self) -> str:
         """The address, without the signature of one that was signed: that is a secret, and another each time."""
         path, _, query = self.address.partition("?")
-        return path if _SIGNED.search(query) else self.address
+        parameters = [(part, part.partition("=")[0]) for part in query.split("&")]
+        names = {name for _, name in parameters}
+        if not any(map(_SIGNATURE.fullmatch, names)):
+            return self.address
+        kinds = (_SIGNATURE, _BESIDE_SIGNATURE, *([_OF_AZURE] if {"sv", "sig"} <= names else []))
+        kept = [part for part, name in parameters if not any(kind.fullmatch(name) for kind in kinds)]
+        return f"{path}?{'&'.join(kept)}" if kept else path
 
     def read(self) -> bytes:
         """Return its bytes.

@@ -1,7 +1,7 @@
 """The place of a job: where its files go, and its manifest, held by one command at a time."""
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -55,7 +55,9 @@ class JobPlace:
         folder = self.destination.folder
         folder.mkdir(parents=True, exist_ok=True)
         stack.enter_context(only_one(folder / name))
-        manifest = Manifest(folder / name)
+        whole = folder / manifest_name(JobShard())
+        is_part = self.shard.count > 1 and whole.exists()
+        manifest = Manifest(folder / name, whole=stack.enter_context(closing(Manifest(whole))) if is_part else None)
         self.destination.mend()
         return manifest
 

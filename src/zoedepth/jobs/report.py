@@ -8,7 +8,7 @@ from pathlib import Path
 
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
-from zoedepth.jobs.lock import lock_file, only_one
+from zoedepth.jobs.lock import HeldError, lock_file, only_one
 from zoedepth.jobs.manifest import NAME, Entry, Manifest, begin_line, manifest_name
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
@@ -34,7 +34,7 @@ class ShardStatus:
     fingerprint: str
     """Hash of its settings."""
     running: bool | None
-    """True if a command works on it now; None where nobody can know: in a store."""
+    """True if a command works on it now; None where nobody can know: in a store, or where its lock cannot be asked."""
 
 
 def find_manifests(out: str) -> dict[JobShard, str]:
@@ -78,7 +78,7 @@ def read_status(out: str) -> list[ShardStatus]:
             found.append(
                 ShardStatus(
                     shard, manifest.n_done, manifest.n_failed, str(last.get("by", "")), str(last.get("began", "")),
-                    manifest.fingerprint, running,
+                    manifest.counted or manifest.fingerprint, running,
                 )
             )  # fmt: skip
     return found
@@ -124,7 +124,9 @@ def merge_shards(out: str) -> int:
         for name in {*names, whole}:
             stack.enter_context(only_one(folder / name))
         manifests = [stack.enter_context(_opened(out, name)) for name in names]
-        jobs = {manifest.fingerprint for manifest in manifests}
+        jobs = {manifest.counted for manifest in manifests if manifest.counted is not None}
+        # Where photos were only named one by one, as by a shell's *.jpg, there is no job, and all commands must agree.
+        jobs = jobs or {manifest.fingerprint for manifest in manifests}
         if len(jobs) > 1:
             raise InputError(
                 f"the shards in {out} have different settings ({', '.join(sorted(jobs))}), so that they are not of one "
@@ -132,13 +134,14 @@ def merge_shards(out: str) -> int:
             )
         # The file that was written to last comes last, and has the last word: its outputs have replaced the others'.
         manifests.sort(key=lambda manifest: manifest.path.stat().st_mtime_ns)
-        last = manifests[-1].runs[-1]
+        (job,) = jobs
+        settings = next(run["settings"] for each in manifests for run in each.runs if run["fingerprint"] == job)
         with atomic_path(folder / whole) as temporary, temporary.open("wb") as file:
-            file.write(begin_line(last["settings"], fingerprint=last["fingerprint"], named=False))
+            file.write(begin_line(settings, fingerprint=job, named=False))
             # Failures first: a success of another shard's, from before it was a shard, wins.
             for status in ("failed", "done"):
                 for manifest in manifests:
-                    file.writelines(entry.to_line() for entry in manifest.current() if entry.status == status)
+                    file.writelines(entry.to_line() for entry in manifest.current(job) if entry.status == status)
         for name in names:
             if name != whole:
                 (folder / name).unlink()
@@ -155,11 +158,13 @@ def _opened(out: str, name: str) -> Iterator[Manifest]:
         yield found
 
 
-def _is_running(manifest: Path) -> bool:
+def _is_running(manifest: Path) -> bool | None:
     if not lock_file(manifest).exists():
         return False
     try:
         with only_one(manifest):
             return False
-    except InputError:
+    except HeldError:
         return True
+    except InputError:  # the lock cannot be asked, e.g. in a folder of somebody else
+        return None
