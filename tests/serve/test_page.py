@@ -10,6 +10,7 @@ import re
 from ast import literal_eval
 from base64 import b64decode
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from threading import Thread
@@ -21,7 +22,7 @@ import numpy as np
 import pytest
 import trimesh
 import uvicorn
-from PIL import Image
+from PIL import ExifTags, Image
 from plyfile import PlyData
 from tests import browsers
 from tests.browsers import LONGEST, needs_browser
@@ -77,6 +78,30 @@ class Service:
 PHOTO_PART = {"name": "pixels.png", "mimeType": "image/png", "buffer": PHOTO}
 
 
+# EXIF orientation -> how a picture that is to be turned by it lies in the file.
+STORED = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_90,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_270,
+}
+
+
+def webp(image: np.ndarray, orientation: int, before: bytes, order: str) -> bytes:
+    """Return a picture as a WebP that is to be turned by EXIF, whose bytes stand in an order, behind other ones."""
+    exif = Image.Exif()
+    exif.endian = order
+    exif[ExifTags.Base.Make] = "a camera"
+    exif[ExifTags.Base.Orientation] = orientation
+    file = io.BytesIO()
+    stored = Image.fromarray(image).transpose(STORED[orientation])
+    stored.save(file, format="WEBP", lossless=True, exif=before + exif.tobytes().removeprefix(b"Exif\0\0"))
+    return file.getvalue()
+
+
 @dataclass
 class Visit:
     """A look at the page, and everything that must not happen meanwhile."""
@@ -92,6 +117,23 @@ class Visit:
     def settled(self) -> None:
         """Wait until the page waits for nothing."""
         self.page.wait_for_selector('#work[aria-busy="false"]', state="attached")
+
+    def waits_until(self, holds: Callable[[], bool]) -> None:
+        """Wait until something holds that the browser tells, and fail where it never does."""
+        end = monotonic() + LONGEST
+        while not holds():
+            assert monotonic() < end, "it has not come true"
+            self.page.wait_for_timeout(10)
+
+    @contextmanager
+    def holds_depth(self) -> Iterator[list["Route"]]:
+        """Hold back what is asked of depth, and hand out the requests as they come."""
+        held: list[Route] = []
+        self.page.route("**/v1/depth*", lambda route: held.append(route))
+        try:
+            yield held
+        finally:
+            self.page.unroute("**/v1/depth*")
 
     def text(self, selector: str) -> str:
         return self.page.locator(selector).first.inner_text()
@@ -417,6 +459,184 @@ class TestPage:
         visit.page.click("#uncalibrate")
         visit.settled()
         assert in_metres(visit.text("#pins li")) == pytest.approx(told[0], abs=rounded_to(told[0]))
+
+    def test_another_photo_drops_all_that_was_asked_of_the_one_before(self, visit: Visit, service: Service) -> None:
+        other = png(photo()[::-1].copy())
+        with visit.holds_depth() as held:
+            visit.page.set_input_files("#choose", {"name": "a.png", "mimeType": "image/png", "buffer": PHOTO})
+            visit.waits_until(lambda: len(held) == 1)
+            visit.page.click("#file-exr")
+            visit.waits_until(lambda: len(held) == 2)
+            visit.page.set_input_files("#choose", {"name": "b.png", "mimeType": "image/png", "buffer": other})
+            visit.waits_until(lambda: len(held) == 3)
+            assert [route.request.failure for route in held] == ["net::ERR_ABORTED", "net::ERR_ABORTED", None]
+            held[2].continue_()
+            visit.settled()
+        arrays = service.arrays(photo={**PHOTO_PART, "buffer": other})
+        column, row = clear(arrays["valid"])
+        visit.page.mouse.click(*window_place(visit, column, row))
+        value = arrays["depth"][row, column]
+        assert in_metres(visit.text("#pins li")) == pytest.approx(value, abs=rounded_to(value))
+        assert visit.text("#about").startswith("b.png")
+
+    def test_new_photo_and_stop_drop_all_that_was_asked(self, visit: Visit) -> None:
+        for button in ("#another", "#stop"):
+            visit.upload()
+            with visit.holds_depth() as held:
+                visit.page.fill("#fov", "50")
+                visit.waits_until(lambda: len(held) == 1)
+                visit.page.click("#file-exr")
+                visit.waits_until(lambda: len(held) == 2)
+                visit.page.click(button)
+                visit.settled()
+                assert [route.request.failure for route in held] == ["net::ERR_ABORTED"] * 2
+
+    def test_a_surface_of_an_earlier_camera_is_not_kept(self, visit: Visit) -> None:
+        visit.upload()
+        visit.page.click("#show-space")
+        with visit.holds_depth() as held:
+            visit.page.click("#show-surface")
+            visit.waits_until(lambda: len(held) == 1)
+            visit.page.click("#file-exr")
+            visit.waits_until(lambda: len(held) == 2)
+            visit.page.fill("#fov", "50")
+            visit.waits_until(lambda: len(held) == 3)
+            held[2].continue_()
+            visit.waits_until(lambda: len(held) == 4)  # the surface again, of the new depth
+            held[3].continue_()
+            visit.page.wait_for_selector("#extent:has-text('triangles')")
+            extent = visit.text("#extent")
+            held[0].continue_()  # by now nobody waits for it
+            visit.settled()
+        visit.page.click("#show-cloud")
+        visit.page.wait_for_selector("#extent:has-text('points')")
+        visit.page.click("#show-surface")
+        visit.page.wait_for_selector("#extent:has-text('triangles')")
+        assert visit.text("#extent") == extent
+
+    def test_stop_shows_what_was_answered_last(self, visit: Visit, service: Service, tmp_path: Path) -> None:
+        def stops(action: Callable[[], Any]) -> None:
+            """Stop what an action asks while depth is computed, and look again at the pins."""
+            with visit.holds_depth() as held:
+                action()
+                visit.waits_until(lambda: len(held) == 1)
+                visit.page.click("#stop")
+                visit.settled()
+            visit.page.mouse.click(*window_place(visit, other[0], other[1]))
+            visit.page.click("[aria-label='Remove pin 2']")
+
+        def said() -> tuple[Any, ...]:
+            """Return what the page says of its metres, and the file of them."""
+            with visit.page.expect_download() as download:
+                visit.page.click("#file-exr")
+            path = tmp_path / "depth.exr"
+            download.value.save_as(path)
+            visit.settled()
+            shown = [visit.page.is_visible("#calibrated"), visit.page.locator("#calibrated-text").text_content()]
+            fields = [visit.page.input_value(f"#{name}") for name in ("model", "domain", "fov", "focal", "fov-slider")]
+            chosen = visit.page.evaluate("document.querySelector('[name=camera]:checked').value")
+            pin = visit.page.locator("#pins li strong").all_inner_texts()
+            return shown, fields, chosen, pin, visit.text("#camera-text"), read_depth(path).tolist()
+
+        visit.upload()
+        visit.page.evaluate("document.getElementById('model').append(new Option('another'))")
+        one = clear(service.arrays()["valid"])
+        other = (one[0] + 8, one[1])
+        visit.page.mouse.click(*window_place(visit, *one))
+        visit.page.fill('[data-field="measured-0"]', "2")
+        plain = said()
+        assert plain[0][0] is False
+        stops(lambda: visit.page.click("#calibrate"))
+        assert said() == plain
+        visit.page.click("#calibrate")
+        visit.settled()
+        calibrated = said()
+        assert calibrated[0][0] is True
+        assert calibrated[3] != plain[3]
+        stops(lambda: visit.page.click("#uncalibrate"))
+        assert said() == calibrated
+        visit.page.click("#uncalibrate")
+        visit.settled()
+        assert said()[3:] == plain[3:]
+        plain = said()
+        stops(lambda: visit.page.fill("#fov", "35"))
+        assert said() == plain
+        stops(lambda: visit.page.select_option("#model", "another"))
+        assert said() == plain
+        names = visit.page.locator("#domain option").all_inner_texts()
+        assert len(names) > 2
+        stops(lambda: visit.page.select_option("#domain", names[-1]))
+        assert said() == plain
+
+    def test_a_refusal_leaves_the_calibration_until_it_is_tried_again(self, visit: Visit) -> None:
+        visit.upload()
+        visit.page.mouse.click(*visit.places((0.5, 0.5))[0])
+        visit.page.fill('[data-field="measured-0"]', "2")
+        visit.page.click("#calibrate")
+        visit.settled()
+        before, metres = visit.text("#calibrated-text"), in_metres(visit.text("#pins li"))
+        visit.page.fill('[data-field="measured-0"]', "4")
+        busy = {"title": "The service is busy", "detail": "Wait.", "status": 429}
+        visit.page.route("**/v1/depth*", lambda route: route.fulfill(status=429, json=busy))
+        visit.page.click("#calibrate")
+        visit.page.wait_for_selector("#retry")
+        visit.settled()
+        assert visit.text("#calibrated-text") == before
+        with visit.page.expect_download() as download:
+            visit.page.click("#file-calibration")
+        saved = json.loads(download.value.path().read_text(encoding="utf-8"))
+        assert f"times {saved['calibration']['scale']:.3f}" in before
+        visit.page.unroute("**/v1/depth*")
+        visit.page.click("#retry")
+        visit.settled()
+        assert visit.text("#calibrated-text") != before
+        assert in_metres(visit.text("#pins li")) > metres
+        assert len(visit.complaints) == 1, "browsers note what was refused"
+        visit.complaints.clear()
+
+    def test_try_again_asks_what_was_refused(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        focal = visit.page.input_value("#focal")
+        busy = {"title": "The service is busy", "detail": "Wait.", "status": 503}
+        visit.page.route("**/v1/depth*", lambda route: route.fulfill(status=503, json=busy))
+        visit.page.fill("#fov", "35")
+        visit.page.wait_for_selector("#retry")
+        visit.settled()
+        assert visit.page.input_value("#focal") == focal
+        visit.page.unroute("**/v1/depth*")
+        visit.page.click("#retry")
+        visit.settled()
+        assert float(visit.page.input_value("#focal")) == pytest.approx(
+            service.arrays("&fov_x=35")["intrinsics"][0, 0], abs=0.06
+        )
+        assert len(visit.complaints) == 1, "browsers note what was refused"
+        visit.complaints.clear()
+
+    def test_turns_a_webp_as_the_service_does(self, visit: Visit, service: Service) -> None:
+        visit.upload()
+        visit.split(1)
+        upright = visit.picture()
+        depth = service.arrays()["depth"]
+        for orientation in STORED:
+            even = orientation % 2 == 0
+            content = webp(photo(), orientation, b"Exif\0\0" if even else b"", "<" if orientation < 5 else ">")
+            part = {"name": "turned.webp", "mimeType": "image/webp", "buffer": content}
+            np.testing.assert_array_equal(service.arrays(photo=part)["depth"], depth)
+            visit.upload(f"{orientation}.webp", content)
+            visit.split(1)
+            assert not visit.page.is_visible("#unshown")
+            same = (visit.picture() == upright).all(axis=-1)
+            assert same.mean() > 0.999, f"orientation {orientation}: {np.argwhere(~same)}"
+
+    def test_shows_no_picture_over_depth_of_other_proportions(self, visit: Visit) -> None:
+        visit.page.evaluate("""() => {
+          const {createImageBitmap} = window;
+          window.createImageBitmap = (blob) => createImageBitmap(blob, {resizeWidth: 72, resizeHeight: 96});
+        }""")
+        visit.upload()
+        assert visit.page.is_visible("#unshown")
+        assert not visit.page.is_visible("#splitter")
+        assert f"{WIDTH} × {HEIGHT}" in visit.text("#about")
 
     def test_a_camera_changes_the_metres_at_once(self, visit: Visit, service: Service) -> None:
         visit.upload()

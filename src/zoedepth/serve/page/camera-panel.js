@@ -39,11 +39,18 @@ export class CameraPanel extends EventTarget {
 
   /** Ask the photo's own notes again, as for a new photo. */
   reset() {
-    this.radios.exif.checked = true;
+    this.choose({kind: "exif", value: null});
   }
 
-  /** Show what the service says of the camera. */
-  show({camera, camera_note: note, focal_correction: factor}) {
+  /** Choose what was chosen for a question; nothing is asked. */
+  choose({kind, value}) {
+    clearTimeout(this.timer);
+    this.radios[kind].checked = true;
+    if (kind !== "exif") this[kind].value = value;
+  }
+
+  /** Show what the service says of the camera; `whole`: in the field that somebody types in, too. */
+  show({camera, camera_note: note, focal_correction: factor}, {whole = false} = {}) {
     const known = new Camera(camera);
     this.size = camera.size;
     const badge = element("span", {
@@ -60,9 +67,10 @@ export class CameraPanel extends EventTarget {
       corrected,
     );
     const {kind} = this.choice;
-    if (kind !== "fov" || document.activeElement !== this.fov) this.fov.value = known.fovX.toFixed(1);
-    if (document.activeElement !== this.slider) this.slider.value = known.fovX;
-    if (kind !== "focal" || document.activeElement !== this.focal) this.focal.value = known.fy.toFixed(1);
+    const isTyped = (field) => !whole && document.activeElement === field;
+    if (kind !== "fov" || !isTyped(this.fov)) this.fov.value = known.fovX.toFixed(1);
+    if (!isTyped(this.slider)) this.slider.value = known.fovX;
+    if (kind !== "focal" || !isTyped(this.focal)) this.focal.value = known.fy.toFixed(1);
   }
 
   typed(kind, value) {

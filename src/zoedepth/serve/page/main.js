@@ -12,6 +12,7 @@ import {hasQuickLook, QuickLook} from "./quick-look.js";
 import {canShowRoom, Room} from "./room.js";
 import {Scene} from "./scene.js";
 import {Viewer} from "./viewer.js";
+import {asStored, turned} from "./webp.js";
 
 const MOST_SIDE = 4096; // pixels of a photo that is drawn; phones draw no larger ones
 const SURFACE_TRIANGLES = 150_000;
@@ -41,8 +42,9 @@ const quickLook = new QuickLook(byId("augmented"), byId("quick-look"));
 
 const state = {
   photo: null, // {blob, name, picture}
-  calibrating: false, // true while metres are put right by what was typed
-  calibration: null, // the service's answer
+  calibrating: false, // true while metres are to be put right by what was typed
+  answered: null, // the question that `facts` and `depth` answer, with the calibration that was used
+  shown: null, // the question that the metres shown answer: `answered`, but for a camera that was changed at once
   facts: null,
   depth: null, // of the photo, as the service answered last
   range: [0, 1], // metres of the first and the last colour
@@ -51,22 +53,21 @@ const state = {
   surface: null, // the GLB of `depth`, once it was asked for
   space: null, // null, "cloud" or "surface": what is shown in place of the picture
 };
-let running = null; // an AbortController of what is asked now
-let opened = 0; // photos that were opened
+const running = new Set(); // an AbortController of each thing that the page waits for
+let again = null; // what "Try again" does
 
 // ---------------------------------------------------------------------------------------------- choosing a photo
 
 async function open(blob, name) {
   hideProblem();
-  running?.abort();
-  waiting();
-  const mine = ++opened;
-  const picture = await decoded(blob);
-  if (mine !== opened) return; // another photo came while this one was being read
+  stop();
+  cameraPanel.reset();
+  const picture = await asking(() => decoded(blob));
   Object.assign(state, {
     photo: {blob, name, picture},
     calibrating: false,
-    calibration: null,
+    answered: null,
+    shown: null,
     facts: null,
     depth: null,
     surface: null,
@@ -75,7 +76,6 @@ async function open(blob, name) {
   document.title = `${name} – ZoeDepth`;
   pins.clear();
   pins.read(null);
-  cameraPanel.reset();
   byId("domain").replaceChildren();
   showPoint(null);
   showCalibration();
@@ -103,16 +103,17 @@ function chooseAnother() {
 /** The upright picture in a file, or null where this browser cannot read its kind. */
 async function decoded(blob) {
   try {
-    const whole = await createImageBitmap(blob, {imageOrientation: "from-image"});
+    const {file, orientation} = await asStored(blob);
+    const whole = await createImageBitmap(file, {imageOrientation: "from-image"});
     const shrink = MOST_SIDE / Math.max(whole.width, whole.height);
-    if (shrink >= 1) return whole;
+    if (shrink >= 1) return turned(whole, orientation);
     const small = await createImageBitmap(whole, {
       resizeWidth: Math.round(whole.width * shrink),
       resizeHeight: Math.round(whole.height * shrink),
       resizeQuality: "high",
     });
     whole.close();
-    return small;
+    return turned(small, orientation);
   } catch {
     return null;
   }
@@ -131,24 +132,31 @@ function listenForPhotos() {
     });
   }
   byId("another").addEventListener("click", () => {
-    running?.abort();
+    stop();
     chooseAnother();
     hideProblem();
     byId("choose").focus();
   });
-  byId("retry").addEventListener("click", () => ask());
+  byId("retry").addEventListener("click", () => {
+    hideProblem();
+    again();
+  });
   for (const button of document.querySelectorAll("[data-example]")) {
     button.addEventListener("click", () =>
       guarded(async () => {
         const {example} = button.dataset;
-        const response = await fetch(example);
-        if (!response.ok)
-          throw new Problem({
-            title: "The example is missing",
-            detail: "The service did not send it.",
-            status: response.status,
-          });
-        await open(await response.blob(), example.split("/").pop());
+        stop();
+        const blob = await asking(async ({signal}) => {
+          const response = await fetch(example, {signal});
+          if (!response.ok)
+            throw new Problem({
+              title: "The example is missing",
+              detail: "The service did not send it.",
+              status: response.status,
+            });
+          return response.blob();
+        });
+        await open(blob, example.split("/").pop());
       }),
     );
   }
@@ -176,7 +184,26 @@ function listenForPhotos() {
 
 // ---------------------------------------------------------------------------------------------- asking the service
 
-/** What the page asks now. */
+/** Do what the page waits for, until `stop`: what comes after that is dropped. `action` gets the service's options. */
+async function asking(action) {
+  const mine = new AbortController();
+  running.add(mine);
+  waiting();
+  try {
+    return await action({signal: mine.signal, progress: showProgress});
+  } finally {
+    running.delete(mine);
+    if (!running.size) atRest();
+    mine.signal.throwIfAborted();
+  }
+}
+
+/** Drop everything that the page waits for. */
+function stop() {
+  for (const each of running) each.abort();
+}
+
+/** What is set on the page now. The calibration is found when it is asked. */
 function question() {
   return {
     photo: state.photo.blob,
@@ -184,60 +211,83 @@ function question() {
     model: byId("model").value,
     domain: byId("domain").value || null,
     camera: cameraPanel.choice,
-    calibration: state.calibration,
+    calibrating: state.calibrating,
+    calibration: null,
   };
 }
 
 /** Ask for the depth of the photo as everything is set now, and show it. What was being asked before is dropped. */
 async function ask() {
-  running?.abort();
-  const mine = (running = new AbortController());
-  const options = {signal: mine.signal, progress: showProgress};
-  showProgress("send", null);
+  stop();
+  const wanted = question();
   try {
-    const {readings, distances} = pins.measured;
-    if (!state.calibrating) state.calibration = null;
-    else if (readings.length || distances.length) {
-      // where all were taken away, the calibration stays as it was
-      state.calibration = await service.calibrate(
-        question(),
-        {readings, distances, alongRay: byId("along-ray").checked},
-        options,
-      );
-    }
-    const answer = await service.maps(question(), options);
-    if (mine.signal.aborted) return;
-    Object.assign(state, {facts: answer.facts, depth: answer.depth, surface: null});
+    const {asked, facts, depth} = await asking(async (options) => {
+      showProgress("send", null);
+      const calibration = wanted.calibrating ? await calibrate(wanted, options) : null;
+      const asked = {...wanted, calibrating: calibration !== null, calibration};
+      return {asked, ...(await service.maps(asked, options))};
+    });
+    const {calibrating} = asked;
+    Object.assign(state, {calibrating, answered: asked, shown: asked, facts, depth, surface: null});
     quickLook.drop();
-    learnReference(answer.facts);
+    learnReference(facts);
     hideProblem();
     showAnswer();
   } catch (error) {
     if (error.name === "AbortError") return;
     showLast();
-    showProblem(error);
-  } finally {
-    if (running === mine) {
-      running = null;
-      atRest();
-    }
+    showProblem(error, () => {
+      choose(wanted);
+      return ask();
+    });
   }
 }
 
-/** Show what was answered last, after a question that was refused. */
+/** The calibration that the pins tell. Where all were taken away, it stays as it was. */
+async function calibrate(wanted, options) {
+  const {readings, distances} = pins.measured;
+  if (!readings.length && !distances.length) return state.answered?.calibration ?? null;
+  return service.calibrate(wanted, {readings, distances, alongRay: byId("along-ray").checked}, options);
+}
+
+/** Show what was answered last, after a question that was refused or stopped. */
 function showLast() {
-  const {depth, facts} = state;
-  state.calibrating = Boolean(facts?.calibration);
-  if (!state.calibrating) state.calibration = null;
-  showCalibration();
+  const {depth, facts, answered} = state;
   if (!depth) {
+    state.calibrating = false;
     byId("place").textContent = "There is no depth of this photo.";
     if (!state.photo.picture) chooseAnother(); // it may be no photo at all
     return;
   }
+  state.shown = answered;
+  choose(answered);
+  cameraPanel.show(facts, {whole: true});
   depth.gain = 1;
   depth.camera = new Camera(facts.camera);
+  showCalibration();
   showDepth();
+  if (state.space) guarded(() => showSpace(state.surface ? state.space : "cloud")); // which asks for nothing
+}
+
+/** Set the page as it was for a question. */
+function choose({model, domain, camera, calibrating}) {
+  if (byId("model").value !== model) {
+    byId("model").value = model;
+    forgetHeads();
+  }
+  if (model === state.answered?.model) {
+    learnReference(state.facts);
+    showDomains();
+  }
+  byId("domain").value = domain ?? "";
+  cameraPanel.choose(camera);
+  state.calibrating = calibrating;
+}
+
+/** Forget what is known of the heads of a model: another one has others. */
+function forgetHeads() {
+  byId("domain").replaceChildren();
+  state.references = {};
 }
 
 /** Say that the page waits for something, which may not yet be worth a word. */
@@ -272,6 +322,7 @@ function rescale() {
   if (!depth || !camera || !reference || state.calibrating) return;
   depth.gain = camera.fy / reference / facts.focal_correction;
   depth.camera = camera;
+  state.shown = {...state.answered, camera: cameraPanel.choice};
   showDepth();
 }
 
@@ -279,12 +330,13 @@ async function guarded(action) {
   try {
     await action();
   } catch (error) {
-    if (!running) atRest();
-    if (error.name !== "AbortError") showProblem(error);
+    if (error.name !== "AbortError") showProblem(error, () => guarded(action));
   }
 }
 
-function showProblem(error) {
+/** Say what went wrong, and offer to do `action` where it may go better later. */
+function showProblem(error, action) {
+  again = action;
   if (error.status === 401) {
     byId("token-form").hidden = false;
     byId("token").focus();
@@ -304,6 +356,7 @@ function hideProblem() {
 
 function showAnswer() {
   const {facts, depth, photo} = state;
+  if (photo.picture && !isOf(photo.picture, depth)) photo.picture = null;
   viewer.show(photo.picture, depth, [depth.height, depth.width]);
   cameraPanel.show(facts);
   showDomains();
@@ -316,6 +369,12 @@ function showAnswer() {
   byId("confidence-label").hidden = !depth.std;
   showDepth();
   if (state.space) guarded(() => showSpace(state.space));
+}
+
+/** True where a picture has the proportions of its depth; each side of both may have been rounded to whole pixels. */
+function isOf(picture, depth) {
+  const apart = Math.abs(picture.width * depth.height - picture.height * depth.width);
+  return apart < (picture.width + picture.height + depth.width + depth.height) / 2;
 }
 
 /** Show the depth in its colours, and everything that is read from it. */
@@ -359,7 +418,7 @@ function showDomains() {
 }
 
 function showCalibration() {
-  const found = state.calibration?.calibration,
+  const found = state.shown?.calibration?.calibration,
     {readings, distances} = pins.measured;
   byId("calibrated").hidden = !found;
   if (found) {
@@ -395,21 +454,29 @@ async function showSpace(kind) {
   press(
     ...(kind === "cloud" ? [byId("show-cloud"), byId("show-surface")] : [byId("show-surface"), byId("show-cloud")]),
   );
-  const {depth, photo} = state;
+  const {depth, photo, answered} = state;
+  const isStale = () => state.depth !== depth || state.space !== kind; // something else is wanted by now
   try {
     await scene.start();
   } catch (error) {
     byId("extent").textContent = `Three dimensions cannot be shown here: ${error.message}`;
     return;
   }
+  if (isStale()) return;
   let what;
   if (kind === "cloud") {
     what = `${scene.showPoints(depth, photo.picture).toLocaleString("en")} points`;
   } else {
     byId("extent").textContent = "";
-    state.surface ??= await (await fetchFile("glb", {max_triangles: SURFACE_TRIANGLES})).arrayBuffer();
-    if (state.depth !== depth || state.space !== kind) return; // something else is wanted by now
-    what = `${Math.round(await scene.showSurface(state.surface, depth)).toLocaleString("en")} triangles`;
+    if (!state.surface) {
+      const file = await fetchFile(answered, {format: "glb", max_triangles: SURFACE_TRIANGLES});
+      const glb = await file.arrayBuffer();
+      if (state.depth === depth) state.surface = glb;
+      if (isStale()) return;
+    }
+    const surface = await scene.readSurface(state.surface);
+    if (isStale()) return;
+    what = `${Math.round(scene.showSurface(surface, depth)).toLocaleString("en")} triangles`;
   }
   byId("augmented").disabled = false;
   const [width, height, far] = scene.extent.map(metres);
@@ -435,24 +502,19 @@ async function enterRoom() {
 }
 
 async function openQuickLook() {
-  const {depth} = state;
-  const usdz = await fetchFile("usdz", {max_triangles: SURFACE_TRIANGLES});
-  if (state.depth === depth) quickLook.open(usdz, stem());
+  const {depth, answered} = state,
+    name = stem();
+  const usdz = await fetchFile(answered, {format: "usdz", max_triangles: SURFACE_TRIANGLES});
+  if (state.depth === depth) quickLook.open(usdz, name);
 }
 
 // ---------------------------------------------------------------------------------------------- files and programs
 
-async function fetchFile(format, query = {}) {
-  const mine = (running = new AbortController());
-  showProgress("send", null);
-  try {
-    return await service.file(question(), {format, ...query}, {signal: mine.signal, progress: showProgress});
-  } finally {
-    if (running === mine) {
-      running = null;
-      atRest();
-    }
-  }
+function fetchFile(asked, query) {
+  return asking((options) => {
+    showProgress("send", null);
+    return service.file(asked, query, options);
+  });
 }
 
 /** The name of the photo's file without its ending. */
@@ -469,7 +531,10 @@ function listFiles(formats) {
   };
   for (const {format, name, ending, what} of FILES) {
     const known = formats.find((each) => each.name === format || each.aliases?.includes(format));
-    const button = tile(name, what, async () => save(await fetchFile(format), `${stem()}${ending}`));
+    const button = tile(name, what, async () => {
+      const path = `${stem()}${ending}`;
+      save(await fetchFile(state.shown ?? question(), {format}), path);
+    });
     button.id = `file-${format}`;
     if (known && !known.available) {
       button.disabled = true;
@@ -478,7 +543,7 @@ function listFiles(formats) {
   }
   const calibration = tile("JSON", "calibration", () => {
     save(
-      new Blob([`${JSON.stringify(state.calibration, null, 2)}\n`], {type: "application/json"}),
+      new Blob([`${JSON.stringify(state.shown.calibration, null, 2)}\n`], {type: "application/json"}),
       `${stem()}${CALIBRATION_ENDING}`,
     );
   });
@@ -488,7 +553,7 @@ function listFiles(formats) {
 
 function showProgram() {
   if (!state.photo) return;
-  const {curl, python} = programs(service.root, question(), {token: service.token !== null});
+  const {curl, python} = programs(service.root, state.shown ?? question(), {token: service.token !== null});
   byId("code").textContent = byId("show-curl").getAttribute("aria-pressed") === "true" ? curl : python;
   byId("copied").textContent = "";
 }
@@ -539,11 +604,7 @@ function listen() {
   });
   for (const id of ["model", "domain"]) {
     byId(id).addEventListener("change", () => {
-      if (id === "model") {
-        // another model has other heads
-        byId("domain").replaceChildren();
-        state.references = {};
-      }
+      if (id === "model") forgetHeads();
       if (state.photo) ask();
     });
   }
@@ -553,7 +614,10 @@ function listen() {
   byId("show-cloud").addEventListener("click", () => guarded(() => showSpace("cloud")));
   byId("show-surface").addEventListener("click", () => guarded(() => showSpace("surface")));
   byId("home").addEventListener("click", () => scene.home());
-  byId("stop").addEventListener("click", () => running?.abort());
+  byId("stop").addEventListener("click", () => {
+    stop();
+    showLast();
+  });
   byId("problem-close").addEventListener("click", hideProblem);
   byId("show-curl").addEventListener("click", () => {
     press(byId("show-curl"), byId("show-python"));

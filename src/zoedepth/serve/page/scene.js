@@ -68,18 +68,23 @@ export class Scene {
     return n;
   }
 
-  /** Show a surface, a GLB. Returns its number of triangles. */
-  async showSurface(glb, depth) {
+  /** Read a surface, a GLB, to be shown. */
+  async readSurface(glb) {
     const {scene} = await new Promise((resolve, reject) => {
       new THREE.GLTFLoader().parse(glb, "", resolve, (error) =>
         reject(new Error(`the surface cannot be shown: ${error.message}`)),
       );
     });
+    return scene;
+  }
+
+  /** Show a surface that was read. Returns its number of triangles. */
+  showSurface(surface, depth) {
     let triangles = 0;
-    scene.traverse((part) => {
+    surface.traverse((part) => {
       if (part.isMesh) triangles += (part.geometry.index?.count ?? part.geometry.attributes.position.count) / 3;
     });
-    this.replace(scene, depth);
+    this.replace(surface, depth);
     return triangles;
   }
 
