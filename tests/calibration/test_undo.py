@@ -80,7 +80,7 @@ def test_a_png_alone_is_enough(photo: Path, tmp_path: Path, tiny_model: ZoeDepth
 def test_what_is_farther_than_before_is_not_clipped(photo: Path, tmp_path: Path, tiny_model: ZoeDepth) -> None:
     plain = write(photo, tmp_path / "plain", tiny_model, None, ("npy",))
     depth = read_depth(plain.with_name("photo_depth.npy"))
-    scale = 0.75 * 65535 / depth.max()  # fits depth that is halved, and not the whole
+    scale = 0.75 * 65535 / float(depth.max())  # fits depth that is halved, and not the whole
     request = Request(
         "tiny", ("npy", "depth"), calibration=Calibration(scale=0.5), options=Options(png_scale=2 * scale)
     )

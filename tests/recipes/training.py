@@ -51,7 +51,7 @@ def take_a_step(name: str, tiny: ModelConfig, folder: Path) -> None:
         else:
             domain = {"outdoor": "outdoor", "kitti": "outdoor"}.get(source.name, "indoor")
             size = (375, 1242) if source.kitti_crop else (48, 64)
-            lenses = (50.0,) if config.model.canonical_camera else ()
+            lenses = (0.8 * size[1],) if config.model.canonical_camera else ()
             data[source.name] = write_pairs(folder / source.name, n=1, size=size, domain=domain, focal_px=lenses)
     train = train_relative if config.stage == "relative" else train_metric
     last = train(config, data=data, out=folder / "out", init=None)

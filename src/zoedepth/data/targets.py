@@ -38,7 +38,8 @@ def to_sample(
         kind: "depth" or "disparity".
         facts: the facts about this photo.
         default_scale: the stored value of one metre for files of whole numbers of which nobody says it.
-        mask: what ``read_mask`` returns, False where the target is not valid; of the size of the photo or of the map.
+        mask: the mask as ``read_mask`` returns it, False where the target is not valid; of the size of the photo or of
+            the map.
         mask_decides: disparity that is not positive is known, too, where the mask (if there is one) says so.
         orientation: the EXIF orientation by which the photo was turned upright; see ``zoedepth.data.fit``.
         name: the name of the sample.
