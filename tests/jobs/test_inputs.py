@@ -37,7 +37,7 @@ def members(folder: Path) -> dict[str, bytes]:
 
 
 def write_tar(path: Path, files: dict[str, bytes], mode: str = "w") -> Path:
-    with tarfile.open(path, mode) as archive:  # pyright: ignore[reportCallIssue, reportArgumentType]
+    with tarfile.open(path, mode) as archive:
         for name, content in files.items():
             info = tarfile.TarInfo(name)
             info.size, info.mtime = len(content), 1234567890
@@ -71,7 +71,7 @@ class TestHere:
         walk = folders.os.walk
 
         def noted(*arguments: object, **options: object) -> Iterator[object]:
-            for entry in walk(*arguments, **options):  # pyright: ignore[reportArgumentType, reportCallIssue]
+            for entry in walk(*arguments, **options):
                 listed.append(Path(entry[0]).name)
                 yield entry
 
@@ -248,7 +248,7 @@ class TestArchives:
     @pytest.mark.parametrize(("ending", "mode"), [("tar", "w"), ("tar.gz", "w:gz")])
     def test_links_in_a_tar_file_are_counted(self, folder: Path, tmp_path: Path, ending: str, mode: str) -> None:
         content = members(folder)["day 0/0.png"]
-        with tarfile.open(tmp_path / f"a.{ending}", mode) as archive:  # pyright: ignore[reportCallIssue, reportArgumentType]
+        with tarfile.open(tmp_path / f"a.{ending}", mode) as archive:
             info = tarfile.TarInfo("a.png")
             info.size = len(content)
             archive.addfile(info, io.BytesIO(content))
