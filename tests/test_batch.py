@@ -201,6 +201,7 @@ class TestFindPhotos:
             found = find_photos([source], tmp_path / "out")
             assert [photo.path.name for photo in found.photos] == ["a.jpg"]
 
+    # The test makes a pipe, and os.mkfifo is not there on Windows, whose pipes lie in no folder.
     @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
     def test_pipes_are_left_out(self, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "a.jpg")

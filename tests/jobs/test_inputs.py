@@ -183,6 +183,7 @@ class TestLists:
         assert list(sources.found.unreadable) == ["C:\\a.png"]
         assert "is a path of a Windows system" in sources.found.failures[0]
 
+    # Linux keeps names as bytes, of any kind. macOS and Windows refuse to make a file of this name.
     @pytest.mark.skipif(sys.platform != "linux", reason="Windows and macOS keep names as Unicode")
     def test_one_name_that_is_not_utf8_does_not_lose_the_others(self, tmp_path: Path) -> None:
         odd = os.fsdecode(b"caf\xe9.png")

@@ -44,6 +44,7 @@ def test_two_manifests_of_a_folder_are_no_matter(tmp_path: Path) -> None:
         pass
 
 
+# The test lets fcntl.flock fail, which Windows does not have: there filelock asks for locks in another way.
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has locks of another kind, on every file system")
 @pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
 def test_where_the_file_system_knows_no_locks_a_file_stands_for_one(

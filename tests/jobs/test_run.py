@@ -62,6 +62,7 @@ def test_a_second_time_nothing_is_done(folder: Path, tmp_path: Path) -> None:
     assert not [file for file in (tmp_path / "out").iterdir() if file.name.startswith(".zoedepth-drafts")]
 
 
+# Linux keeps names as bytes, of any kind. macOS and Windows refuse to make a file of this name.
 @pytest.mark.skipif(sys.platform != "linux", reason="Windows and macOS keep names as Unicode")
 def test_a_second_time_nothing_is_done_for_names_that_are_not_utf8(tmp_path: Path) -> None:
     write_photo(tmp_path / "in" / os.fsdecode(b"caf\xe9.png"))

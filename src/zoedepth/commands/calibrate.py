@@ -13,7 +13,7 @@ from rich.table import Table
 
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
-from zoedepth.stored import read_depth, read_stored, readable, to_json
+from zoedepth.stored import read_stored, readable, to_json, to_metres
 
 if TYPE_CHECKING:
     from zoedepth.calibration import Calibration, Distance, Point, Reading
@@ -197,10 +197,8 @@ def _read_sparse(path: Path, photo: Path, *, scale: float | None) -> "DepthArray
 
     image, orientation = read_image_with_orientation(photo)
     size, stored = image.shape[:2], read_stored(path)
-    # A depth map that says its scale is of this package, which predicts the upright photo.
-    own = orientation if stored.scale is not None else stored.orientation
-    check_lies_alike(size, stored.values.shape, names=(photo, path), orientation=orientation, own=own)
-    return spread(read_depth(path, scale=scale), size)
+    check_lies_alike(size, stored, names=(photo, path), orientation=orientation)
+    return spread(to_metres(stored, path, scale=scale), size)
 
 
 def _point(text: str) -> "Point":

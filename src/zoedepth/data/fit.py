@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from zoedepth.errors import InputError
+from zoedepth.stored import StoredMap
 
 Size = Sequence[int]
 
@@ -75,20 +76,21 @@ def lies_across(size: Size, found: Size) -> bool:
     return (height - width) * (h - w) < 0 and not 0.8 < height * w / (width * h) < 1.25
 
 
-def check_lies_alike(size: Size, found: Size, *, names: tuple[object, object], orientation: int, own: int) -> None:
+def check_lies_alike(size: Size, stored: StoredMap, *, names: tuple[object, object], orientation: int) -> None:
     """Check that a map fits its photo, and that both are turned alike.
 
     Args:
         size: (height, width) of the photo when it stands upright.
-        found: (height, width) of the map, turned by the orientation that its file says.
+        stored: the map, turned by the orientation that its file says.
         names: the photo and the map, for the message.
         orientation: the EXIF orientation by which the photo was turned.
-        own: the one by which the map was turned.
 
     Raises:
         InputError: the sizes do not fit (see ``check_fit``), or one is turned, and nothing says whether the other is.
     """
-    check_fit(size, found, names=names, orientation=orientation)
+    check_fit(size, stored.values.shape, names=names, orientation=orientation)
+    # A depth map that says its scale is of this package, which predicts the upright photo.
+    own = orientation if stored.scale is not None else stored.orientation
     if own != orientation and not (says_how_it_lies(size, orientation) and says_how_it_lies(size, own)):
         turned, other = names if orientation != 1 else reversed(names)
         number = orientation if orientation != 1 else own

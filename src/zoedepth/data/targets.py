@@ -53,9 +53,7 @@ def to_sample(
     if facts.camera is not None:
         check_camera(facts.camera, size, files[0])
     if stored is not None:
-        # A depth map that says its scale is of this package, which predicts the upright photo.
-        own = orientation if stored.scale is not None else stored.orientation
-        check_lies_alike(size, stored.values.shape, names=files, orientation=orientation, own=own)
+        check_lies_alike(size, stored, names=files, orientation=orientation)
         if kind == "depth" and stored.relative:
             raise InputError(
                 f"{files[1]} holds relative depth, which has no metres. Give a map of depth, or train stage 1 "
@@ -63,7 +61,7 @@ def to_sample(
             )
     if mask is not None:
         names = (files[0], f"the mask of {files[1]}")
-        check_lies_alike(size, mask.values.shape, names=names, orientation=orientation, own=mask.orientation)
+        check_lies_alike(size, mask, names=names, orientation=orientation)
         if stored is not None and mask.values.shape not in (size, stored.values.shape):
             raise InputError(
                 f"the mask of {files[1]} is {mask.values.shape} (height, width): it must have the size of the photo, "

@@ -20,6 +20,7 @@ from zoedepth.stored.maps import (
     read_png16,
     read_png_with_text,
     read_stored,
+    to_metres,
 )
 from zoedepth.stored.texts import (
     MAX_NESTING,
@@ -61,5 +62,6 @@ __all__ = [
     "read_text",
     "readable",
     "to_json",
+    "to_metres",
     "unreadable",
 ]

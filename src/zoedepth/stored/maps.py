@@ -66,8 +66,20 @@ def read_depth(path: str | Path, *, scale: float | None = None) -> DepthArray:
             more, or has whole numbers and nobody says their scale.
         MissingExtraError: an .exr, and OpenEXR is not installed.
     """
-    path = Path(path)
-    stored = read_stored(path)
+    return to_metres(read_stored(Path(path)), path, scale=scale)
+
+
+def to_metres(stored: StoredMap, path: str | Path, *, scale: float | None = None) -> DepthArray:
+    """Return the depth of a stored map as ``read_depth`` does.
+
+    Args:
+        stored: the map as ``read_stored`` returned it.
+        path: its file, for messages.
+        scale: see ``read_depth``.
+
+    Raises:
+        InputError: it has relative depth, 8 bits a pixel, or whole numbers of which nobody says the scale.
+    """
     if stored.relative:
         raise InputError(f"{path} holds relative depth, which has no metres. Predict depth with a model of metres")
     if stored.values.dtype.itemsize < 2:
