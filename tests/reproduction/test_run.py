@@ -163,3 +163,13 @@ def test_trainings_belong_to_the_weights_that_they_start_from(
     assert len(ids(b"one")) == 2
     assert ids(b"one") == ids(b"one")
     assert not set(ids(b"one")) & set(ids(b"two"))
+
+
+def test_weights_to_start_from_are_read_once(
+    tiny: Scale, data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    base, read = tmp_path / "base.safetensors", []
+    base.write_bytes(b"weights")
+    monkeypatch.setattr("zoedepth.reproduction.units.weights_fingerprint", lambda path: read.append(path) or "hash")
+    assert len(plan(TABLE, tiny, data, seeds=(3, 4), bases={"N": str(base)})) == 4
+    assert read == [base]

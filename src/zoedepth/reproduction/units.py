@@ -90,6 +90,8 @@ def plan(
                 states[name] = data_content(data[name], name)
         return {name: states[name] for name in names}
 
+    # Each file of weights is read once: it may have a gigabyte, and many rows start from it.
+    weights = {source: _weights(source) for source in (bases or {}).values()}
     units = []
     for seed in seeds:
         for row in rows_of(table, small=scale.name == "small"):
@@ -107,8 +109,8 @@ def plan(
             before: Training | str = start
             for i, each in enumerate(chain):
                 name = f"base {row.base}" + (f" {i + 1}" if len(chain) > 1 else "")
-                before = _training(name, each, data, before, known([source.name for source in each.sources]))
-            last = _training(row.name, config, data, before, known([source.name for source in config.sources]))
+                before = _training(name, each, data, before, known([source.name for source in each.sources]), weights)
+            last = _training(row.name, config, data, before, known([source.name for source in config.sources]), weights)
             units.append(Unit(row, seed, last))
     return units
 
@@ -169,10 +171,15 @@ def _size(file: Path) -> int:
 
 
 def _training(
-    name: str, config: TrainConfig, data: Mapping[str, str], start: Training | str, states: Mapping[str, str]
+    name: str,
+    config: TrainConfig,
+    data: Mapping[str, str],
+    start: Training | str,
+    states: Mapping[str, str],
+    weights: Mapping[str, str],
 ) -> Training:
     values: dict[str, Any] = {k: v for k, v in to_dict(config).items() if k not in _NO_MATTER}
-    begin = start.id if isinstance(start, Training) else _weights(start)
+    begin = start.id if isinstance(start, Training) else weights.get(start, start)
     own = {source.name: data[source.name] for source in config.sources}
     return Training(name, config, own, start, fingerprint([values, dict(states), begin]))
 
