@@ -35,7 +35,7 @@ from zoedepth.geometry.lens import Lens
 from zoedepth.images import read_image, to_image
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import OUTPUTS, Maps, Options, sidecar, write_maps
-from zoedepth.panorama import predict_panorama
+from zoedepth.panorama import is_sphere, predict_panorama
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
 from zoedepth.tiles import predict_tiled
@@ -208,6 +208,14 @@ class TestFindPhotos:
         for source in (str(tmp_path), str(tmp_path / "*.jpg")):
             found = find_photos([source], tmp_path / "out")
             assert (found.photos, dict(found.left_out)) == ([], {"pipes and devices, which are no files": 1})
+
+    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
+    def test_a_pipe_that_is_named_is_refused_and_not_waited_for(self, tmp_path: Path) -> None:
+        os.mkfifo(tmp_path / "a.jpg")
+        (photo,) = find_photos([str(tmp_path / "a.jpg")], tmp_path / "out").photos
+        for read in (is_sphere, read_image):
+            with pytest.raises(InputError, match=r"a\.jpg is a pipe or a device.*save the photo as a file"):
+                read(photo.path)
 
     def test_what_other_programs_keep_is_left_out_of_folders_and_globs(self, tmp_path: Path) -> None:
         for name in ("a.jpg", "@eaDir/a.jpg/SYNOPHOTO_THUMB_XL.jpg", "b/#recycle/c.jpg", "b/._d.jpg"):
@@ -462,6 +470,7 @@ class TestPredictPhoto:
         photo = Photo(write_sphere(tmp_path / "a.jpg", said=True), tmp_path / "out" / "a")
         with pytest.raises(InputError, match="it is a panorama, which looks everywhere and has no camera"):
             predict_photo(photo, Predictor(tiny_model, camera=Lens(fov_x=60)), REQUEST)
+        assert predict_photo(photo, Predictor(tiny_model, camera="none"), REQUEST).failure is None
         with pytest.raises(InputError, match="leave the calibration out"):
             predict_photo(photo, Predictor(tiny_model), Request("tiny", calibration=CALIBRATION))
         photo = Photo(write_photo(tmp_path / "b.jpg"), tmp_path / "out" / "b")

@@ -288,3 +288,24 @@ def test_module_is_the_command(tmp_path: Path) -> None:
     assert process.stdout == ""
     assert "nowhere.csv" in process.stderr
     assert "Traceback" not in process.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGTERM")
+def test_sigterm_cleans_up_and_has_its_own_exit_code(tmp_path: Path) -> None:
+    code = f"""
+import signal, sys, tempfile
+from zoedepth import cli
+
+def work(arguments):
+    with tempfile.TemporaryDirectory(dir={str(tmp_path)!r}):
+        signal.raise_signal(signal.SIGTERM)
+
+cli.COMMANDS["work"] = cli.Command("works", lambda: work, reads_itself=True)
+code = cli.main(["work"])
+assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+sys.exit(code)
+"""
+    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert process.returncode == 143, process.stderr
+    assert process.stderr == "zoedepth work: terminated\n"
+    assert list(tmp_path.iterdir()) == []

@@ -44,7 +44,11 @@ def test_range() -> None:
     assert depth_range(RAMP, vmin=0.0, vmax=10.0) == (0, 10)
     low, high = depth_range(np.full((2, 2), 3.0))
     assert low == 3 < high
-    for vmin, vmax in ((5.0, 1.0), (2.0, 2.0), (np.nan, 1.0)):
+    for given in (np.nan, np.inf, -np.inf):
+        for name in ("vmin", "vmax"):
+            with pytest.raises(InputError, match=f"{name} must be a finite number"):
+                depth_range(RAMP, **{name: given})
+    for vmin, vmax in ((5.0, 1.0), (2.0, 2.0)):
         with pytest.raises(InputError, match="vmin must be below vmax"):
             depth_range(RAMP, vmin=vmin, vmax=vmax)
     with pytest.raises(InputError, match="no colour map 'jet'; there are magma"):
@@ -88,3 +92,12 @@ def test_sheet_holds_every_panel() -> None:
     page = sheet([[red], [blue, red]], gap=4)
     assert (page == (255, 0, 0)).all(axis=2).sum() == 2 * red[..., 0].size
     assert (page == (0, 0, 255)).all(axis=2).sum() == 30 * 5
+
+
+def test_an_end_that_is_given_holds_where_all_depth_is_beyond_it() -> None:
+    depth = np.linspace(3, 8, 50, dtype=np.float32)[None]
+    low, high = depth_range(depth, vmax=2.0)
+    assert high == 2.0 > low
+    assert len(np.unique(colorize(depth, vmax=2.0)[0], axis=0)) == 1  # all of the last colour
+    low, high = depth_range(depth, vmin=9.0)
+    assert low == 9.0 < high

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from zoedepth import threads as module
-from zoedepth.threads import has_accelerator, thread_count, threads, wait_asleep
+from zoedepth.threads import has_accelerator, thread_count, threads, threads_kept, wait_asleep
 
 
 def printed(code: str, **environment: str) -> list[str]:
@@ -84,3 +84,18 @@ def test_threads_wait_as_openmp_is_told_to(said: str | None, asleep: bool, monke
     if said is not None:
         monkeypatch.setenv("OMP_WAIT_POLICY", said)
     assert wait_asleep() == asleep
+
+
+def test_threads_are_kept_where_blocks_overlap() -> None:
+    before = torch.get_num_threads()
+    first, second = threads_kept(), threads_kept()
+    try:
+        assert first.__enter__() == before
+        torch.set_num_threads(before + 3)
+        assert second.__enter__() == before
+        first.__exit__(None, None, None)
+        torch.set_num_threads(before + 4)
+        second.__exit__(None, None, None)
+        assert thread_count() == torch.get_num_threads() == before
+    finally:
+        torch.set_num_threads(before)

@@ -127,7 +127,11 @@ def test_depth_stays_within_the_range_of_the_model(monkeypatch: pytest.MonkeyPat
     read = reader.read
     monkeypatch.setattr(reader, "read", lambda *given: dataclasses.replace(read(*given), depth_range=(2.0, 3.0)))
     result = tiled(reader, fence(96, 128), tiles=(4, 4))
-    assert (result.depth.min(), result.depth.max()) == (2.0, 3.0)
+    assert result.depth.min() == 2.0
+    # What lies beyond the far end is not valid, with tiles and without: its metres stay as they are.
+    far = truth(fence(96, 128)) > 3.5
+    assert not result.valid[far].any()
+    assert result.depth.max() > 3.5
 
 
 def test_each_tile_is_seen_by_its_own_camera_and_the_head_of_the_whole() -> None:

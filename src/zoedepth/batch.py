@@ -640,7 +640,7 @@ def share_cores(workers: int) -> Iterator[None]:
 
 def _look_around(panorama: Any, predictor: "Predictor", request: Request) -> tuple[Maps, dict[str, object]]:
     """Return the maps of a panorama, and how they were made."""
-    if predictor.camera != "exif":
+    if not isinstance(predictor.camera, str):  # "exif" and "none" name no camera
         raise InputError("it is a panorama, which looks everywhere and has no camera: leave the camera out (--camera)")
     if request.calibration is not None:
         raise InputError(_NOT_CALIBRATED)

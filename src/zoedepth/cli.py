@@ -7,17 +7,19 @@ others. Bugs are shown as they are.
 import errno
 import os
 import re
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import TextIOWrapper
 
-from zoedepth.errors import OPTIONAL, MissingExtraError, ZoeDepthError, no_such
+from zoedepth.errors import OPTIONAL, MissingExtraError, Terminated, ZoeDepthError, no_such
 
-WRONG, INTERRUPTED, NOBODY_READS = 2, 130, 141
-"""Exit codes. The last two are 128 and the number of the signal, as shells count: Ctrl-C, and ``| head``."""
+WRONG, INTERRUPTED, NOBODY_READS, TERMINATED = 2, 130, 141, 143
+"""Exit codes. All but the first are 128 and the number of the signal, as shells count: Ctrl-C, ``| head``, SIGTERM."""
 
 _OTHER_PLACE = ("make room, or write to another place",)
 _WHAT_TO_DO = {
@@ -206,7 +208,7 @@ COMMANDS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code: 0 done, 1 some files failed, 2 wrong input, 130 interrupted.
 
-    141: whoever read our output has stopped reading, as ``| head`` does.
+    141: whoever read our output has stopped reading, as ``| head`` does. 143: SIGTERM came.
     """
     if arguments is None:
         _speak_utf8()
@@ -216,13 +218,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         _accept_all_letters(stream)
     try:
-        with _warnings_in_one_line(name):
+        with _warnings_in_one_line(name), _terminated_as_interrupted():
             code = _run(arguments)
         if sys.stdout is not None:
             sys.stdout.flush()  # a full disk or a closed pipe is noticed here, and not while Python ends
         return code
     except ZoeDepthError as error:
         return _stop(WRONG, f"{name}: {error}")
+    except Terminated:
+        return _stop(TERMINATED, f"{name}: terminated")
     except KeyboardInterrupt as interrupt:
         return _stop(INTERRUPTED, ": ".join(filter(None, (f"{name}: interrupted", str(interrupt)))))
     except ModuleNotFoundError as error:
@@ -292,6 +296,31 @@ def _accept_all_letters(stream: object) -> None:
     """Let a stream write letters that its code page does not have: as escapes, e.g. \\u5ba2 in Windows' cp1252."""
     if isinstance(stream, TextIOWrapper) and (stream.errors == "strict" or stream.encoding.lower() != "utf-8"):
         stream.reconfigure(errors="backslashreplace")
+
+
+@contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """Let SIGTERM, with which systems and schedulers end a program, clean up as Ctrl-C does: drafts are removed.
+
+    Commands with an end of their own (``predict``, ``serve``, ``train``) take the signal themselves meanwhile.
+    """
+    own = os.getpid()
+
+    def end(number: int, _: object) -> None:
+        if os.getpid() != own:  # a process that was forked from this one has nothing to clean up
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+        raise Terminated
+
+    in_main = threading.current_thread() is threading.main_thread()  # others get no signals
+    if not in_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ magma (S. van der Walt and N. Smith, CC0), Spectral (C. Brewer's ColorBrewer, Ap
 Apache 2.0).
 """
 
+import math
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
@@ -61,17 +62,27 @@ def depth_range(
     """Return the depths (metres) of the first and the last colour: as given, or else percentiles of the valid depth.
 
     Raises:
-        InputError: both are given and vmin is not below vmax.
+        InputError: one that is given is not finite, or both are given and vmin is not below vmax.
     """
+    for name, given in (("vmin", vmin), ("vmax", vmax)):
+        if given is not None and not math.isfinite(given):
+            raise InputError(f"{name} must be a finite number of metres, got {given}")
     if vmin is not None and vmax is not None and not vmin < vmax:
         raise InputError(f"vmin must be below vmax, got {vmin} and {vmax}")
     valid = depth[_valid(depth)]
     low, high = np.percentile(valid, percentiles) if valid.size else (0.0, 1.0)
-    vmin = float(low if vmin is None else vmin)
-    vmax = float(high if vmax is None else vmax)
-    if vmax - vmin < 1e-6:  # one depth everywhere: any span will do, the bar must still have one
-        vmax = vmin + max(0.01 * abs(vmin), 1e-3)
-    return vmin, vmax
+    first = float(low if vmin is None else vmin)
+    last = float(high if vmax is None else vmax)
+    if last - first >= 1e-6:
+        return first, last
+    # One depth everywhere, or all of it beyond what was given: any span will do, and the bar must have one.
+    if vmax is None:
+        return first, first + _span(first)
+    return last - _span(last), last
+
+
+def _span(metres: float) -> float:
+    return max(0.01 * abs(metres), 1e-3)
 
 
 def color_bar(height: int, *, vmin: float, vmax: float, colormap: str = "magma_r", unit: str = "m") -> ImageArray:

@@ -38,6 +38,10 @@ class InputError(ZoeDepthError, ValueError):
     """A file, array or option cannot be used. The message names it and says how to mend it."""
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came, with which systems and schedulers end a program. It ends as by Ctrl-C, with exit code 143."""
+
+
 class InputWarning(Warning):
     """A file or array can be used, but is hardly what was meant. The message names it and says what to do.
 

@@ -230,6 +230,11 @@ def _name(source: str | Path | BinaryFile) -> str:
     return str(source) if isinstance(source, str | Path) else str(getattr(source, "name", "the open file"))
 
 
+def _is_stream(path: Path) -> bool:
+    """Return True for what is there and is neither a file nor a folder, such as a named pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
 def _open(
     source: str | Path | BinaryFile,
     *,
@@ -246,6 +251,11 @@ def _open(
     name = _name(source)
     if name.startswith(("http://", "https://")):
         raise InputError(f"{name} is an address, not a file: download it first")
+    if isinstance(source, str | Path) and _is_stream(Path(source)):
+        raise InputError(
+            f"{name} is a pipe or a device, which can be read but once: save the photo as a file, or send it to "
+            "standard input (zoedepth predict - --out -)"
+        )
     try:
         with open(source, "rb") if isinstance(source, str | Path) else nullcontext(source) as file:
             file = _seekable(file)

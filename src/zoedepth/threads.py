@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from ctypes.util import find_library
+from threading import Lock
 
 _VARIABLE = "OMP_NUM_THREADS"
 """Variable of the environment that torch reads once, when it is imported."""
@@ -79,3 +80,30 @@ def threads(number: int) -> Iterator[None]:
             os.environ.pop(_VARIABLE, None)
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(before)
+
+
+_KEPT = Lock()
+_keeping = 0
+_kept = 0
+
+
+@contextmanager
+def threads_kept() -> Iterator[int]:
+    """Give forwards as many threads as before when the block ends: what a thread sets, torch hands on to later ones.
+
+    Blocks may overlap, in threads that share a model: the last to end puts the number back that the first has found.
+
+    Yields:
+        That number.
+    """
+    global _keeping, _kept  # one number for the process, as torch's
+    with _KEPT:
+        if not _keeping:
+            _kept = thread_count()
+        _keeping += 1
+    try:
+        yield _kept
+    finally:
+        with _KEPT:
+            _keeping -= 1
+            set_thread_count(_kept)

@@ -128,7 +128,8 @@ def predict_tiled(
     _check_worth(whole, grid)
     depth, std = whole.depth, whole.std
     for lines, log in _lines(predictor, whole, grid):
-        finer = np.exp(log, out=log).clip(*whole.depth_range, out=log)
+        # What lies beyond the range stays beyond it, as in the whole: it is not valid there either.
+        finer = np.exp(log, out=log).clip(whole.depth_range[0], None, out=log)
         if std is not None:
             std[lines] *= finer / depth[lines]
         depth[lines] = finer

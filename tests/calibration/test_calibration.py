@@ -61,6 +61,7 @@ class TestMismatches:
         ("changes", "message"),
         [
             ({"network": "zoed-m12-n"}, "model zoed-lite, and this is zoed-m12-n"),
+            ({"network": "runs/zoed-lite"}, "model zoed-lite, and this is runs/zoed-lite"),
             ({"domain": "outdoor"}, "head for indoor"),
             ({"focal_corrected": True}, "without the correction"),
             ({"camera": Camera.from_fov(SIZE, horizontal=60)}, "degrees from corner to corner"),

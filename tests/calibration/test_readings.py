@@ -195,3 +195,10 @@ def test_holes_that_are_stored_as_the_largest_number_are_no_readings(share: floa
     sparse = np.where(generator.random(SIZE) < share, 65.535, 1.2 * depth)
     with pytest.raises(InputError, match=r"largest value, 65\.535 m, .* it stands for unknown\. Write 0 there"):
         calibrate(depth, sparse)
+
+
+def test_a_point_between_two_pixels_is_at_that_of_the_depth_map() -> None:
+    depth = np.arange(1, 9, dtype=np.float32)[None].repeat(3, axis=0)
+    for x in (1.5, 2.5, 3.5, 4.5):
+        measured = measure(depth, [(x, 1, 2.0)], None, np.ones(depth.shape, bool), along_ray=False)
+        assert measured.depth[0, 0] == depth[1, int(x + 0.5)]

@@ -38,6 +38,21 @@ def write(
 
 
 @pytest.mark.parametrize("power", [1.0, 1.2])
+def test_the_range_of_the_model_is_as_before(photo: Path, tmp_path: Path, tiny_model: ZoeDepth, power: float) -> None:
+    plain = read_sidecar(write(photo, tmp_path / "plain", tiny_model, None))
+    sidecar = write(photo, tmp_path / "calibrated", tiny_model, Calibration(scale=1.7, power=power))
+    calibrated = read_sidecar(sidecar)
+    undo_files(sidecar)
+    undone = read_sidecar(sidecar)
+    assert plain is not None
+    assert calibrated is not None
+    assert undone is not None
+    assert plain["depth_range"][1] > plain["depth_range"][0] > 0
+    assert undone["depth_range"] == pytest.approx(plain["depth_range"], rel=1e-5)
+    assert calibrated["depth_range"] == pytest.approx([1.7 * end**power for end in plain["depth_range"]], rel=1e-5)
+
+
+@pytest.mark.parametrize("power", [1.0, 1.2])
 def test_all_files_are_as_without_the_calibration(
     photo: Path, tmp_path: Path, tiny_model: ZoeDepth, power: float
 ) -> None:
@@ -65,7 +80,9 @@ def test_all_files_are_as_without_the_calibration(
     assert theirs is not None
     assert mine.keys() == theirs.keys()
     assert mine["depth"] == pytest.approx(theirs["depth"], abs=2e-4)
-    assert {key for key in mine if mine[key] != theirs[key]} <= {"depth", "seconds", "color_range", "median_confidence"}
+    assert mine["depth_range"] == pytest.approx(theirs["depth_range"])
+    differing = {key for key in mine if mine[key] != theirs[key]}
+    assert differing <= {"depth", "depth_range", "seconds", "color_range", "median_confidence"}
 
 
 def test_a_png_alone_is_enough(photo: Path, tmp_path: Path, tiny_model: ZoeDepth) -> None:

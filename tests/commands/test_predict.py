@@ -630,6 +630,18 @@ class TestJobs:
         assert predict(folder, "--shard", "2/2", out=tmp_path / "out") == 2
         assert "--shard must be i/n" in capsys.readouterr().err
 
+    def test_shards_take_pixels_for_those_of_one_photo(self, tmp_path: Path) -> None:
+        for name, size in (("a", (30, 40)), ("b", (60, 80)), ("c", (15, 20))):
+            write_photo(tmp_path / "in" / f"{name}.png", size=size)
+        for shard in ("0/1", "0/2", "1/2"):
+            out = tmp_path / shard[2:]
+            assert predict(tmp_path / "in", "--focal-px", 50, "--no-flip", "--shard", shard, out=out) == 0
+        focal = {
+            out: [json.loads((tmp_path / out / f"{name}.json").read_text())["camera"]["fx"] for name in "abc"]
+            for out in ("1", "2")
+        }
+        assert focal["1"] == focal["2"] == [50, 100, 25]
+
     def test_shards_of_nothing(self, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         """A folder without a photo, such as that of a disk that is not there, is not done."""
         (tmp_path / "disk").mkdir()

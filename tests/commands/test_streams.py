@@ -66,6 +66,8 @@ def test_a_photo_that_fails_gives_nothing(
         (("-",), "depth", ["depth"], False, "no name"),
         (("a.jpg", "b.jpg"), "-", ["depth"], False, "one photo"),
         (("*.jpg",), "-", ["depth"], False, "one photo"),
+        (("list.txt",), "-", ["depth"], False, "one photo"),
+        (("two.zip",), "-", ["depth"], False, "one photo"),
         ((".",), "-", ["depth"], False, "one photo"),
         (("a.jpg",), "-", ["depth", "glb"], False, "not depth and glb: give one kind"),
         (("a.jpg",), "-", ["depth"], True, "--json"),
@@ -73,6 +75,7 @@ def test_a_photo_that_fails_gives_nothing(
     ],
 )
 def test_what_no_stream_can_be(
+    tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     sources: tuple[str, ...],
     out: str,
@@ -81,6 +84,9 @@ def test_what_no_stream_can_be(
     message: str,
 ) -> None:
     feed(b"", monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    for name in ("list.txt", "two.zip"):
+        (tmp_path / name).touch()
     with pytest.raises(InputError, match=message), standard_streams(sources, Path(out), kinds=kinds, json_=json_):
         pass
 

@@ -240,13 +240,14 @@ def test_disparity_of_zero_or_less_is_as_far_as_the_cap() -> None:
     np.testing.assert_allclose(found, [[1.0, 2.0, 10.0, 10.0]])
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_depth_that_is_no_number_is_replaced_before_the_median_alignment(factor: float) -> None:
-    truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0, 0.0]])
+@pytest.mark.parametrize("factor", [1e-3, 0.5, 2.0, 1e3])
+def test_depth_that_is_no_number_does_not_move_the_median_whatever_the_unit(factor: float) -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 5.0, 6.0, 7.0]])
     depth = [[1 / factor, 2 / factor, 4 / factor, math.nan, math.inf, -math.inf]]
     found = aligned_depth(prediction_of(depth), truth, truth > 0, MEDIAN)
-    near, far = max(factor * 1e-3, 1e-3), min(factor * 10, 10)
-    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, near, far, near]])
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1e-3, 10, 1e-3]], rtol=1e-6)
+    nothing = aligned_depth(prediction_of([[math.nan] * 6]), truth, truth > 0, MEDIAN)
+    np.testing.assert_allclose(nothing, [[1e-3] * 6])
 
 
 def test_disparity_that_is_no_number_is_replaced_before_the_alignment() -> None:

@@ -270,5 +270,8 @@ def test_mean_relative_improvement_needs_numbers_and_a_reference() -> None:
     summaries = [scored("old", "a", 0.2, delta1=0.0), scored("new", "a", 0.1), replace(SUMMARY, source="new", data="b")]
     table = mri_table(summaries, "old")
     assert table.rows[1] == ("new", "-", NOT_RUN, NOT_RUN)  # of a delta1 of 0 there is no percentage
+    partly = mri_table([scored("old", "a", 0.2), replace(scored("new", "a", 0.1), n_failed=1)], "old")
+    assert partly.rows[1] == ("new", NOT_RUN, NOT_RUN)  # of other photos than the reference
+    assert "where photos failed" in partly.note
     with pytest.raises(InputError, match=r"'older', which is not scored: give one of \['old', 'new'\]"):
         mri_table(summaries, "older")

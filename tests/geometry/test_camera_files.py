@@ -114,6 +114,24 @@ def numbers(camera: Camera) -> tuple[float, float, float, float]:
     return camera.fx, camera.fy, camera.cx, camera.cy
 
 
+ROI = ROS_TOPIC.replace(
+    "binning_x: 0\n",
+    "binning_x: 0\nroi:\n  x_offset: 100\n  y_offset: 60\n  height: 240\n  width: 320\n  do_rectify: False\n",
+)
+
+
+def test_a_window_of_the_sensor_has_the_matrix_of_the_whole(tmp_path: Path) -> None:
+    whole = ROI.replace("height: 240", "height: 0").replace("width: 320", "width: 0")
+    assert numbers(read_camera(write(tmp_path / "whole.yaml", whole), SIZE)) == (FX, FY, CX, CY)
+    found = read_camera(write(tmp_path / "roi.yaml", ROI), (240, 320))
+    assert numbers(found) == (FX, FY, CX - 100, CY - 60)
+    binned = read_camera(tmp_path / "roi.yaml", (120, 160))
+    assert numbers(binned) == pytest.approx((FX / 2, FY / 2, (CX - 99.5) / 2 - 0.5, (CY - 59.5) / 2 - 0.5))
+    assert "does not lie in its photos of 640 x 480" in error(
+        tmp_path / "out.yaml", ROI.replace("x_offset: 100", "x_offset: 400"), (240, 320)
+    )
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [

@@ -96,6 +96,15 @@ class TestHere:
         targets = {each.name: each.target.as_posix() for shard in shards for each in shard}
         assert targets == found(folder)
 
+    def test_shards_know_one_first_input(self, folder: Path, tmp_path: Path) -> None:
+        shards = [Sources((str(folder),), shard=JobShard(i, 3)) for i in range(3)]
+        assert [each.first for each in shards] == [None] * 3
+        listed = [list(each.inputs()) for each in shards]
+        archive = Sources((str(write_zip(tmp_path / "a.zip", members(folder))),), shard=JobShard(0, 100_000))
+        assert list(archive.inputs()) == []
+        first = {each.first.place for each in (*shards, archive) if each.first is not None}
+        assert first == {min(each.place for shard in listed for each in shard)}
+
     def test_shards_are_the_same_where_a_source_is_a_link(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

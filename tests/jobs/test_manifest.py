@@ -95,6 +95,12 @@ def test_a_success_wins_over_a_later_failure_and_a_later_success_over_it(path: P
     write(path, A, replace(A, status="failed", outputs={}, error="busy"), replace(BROKEN, input=B.input), B)
     assert found(path, A.input, B.input) == [A, B]
     newer = replace(A, version=99999)
+    # It has failed since the photo was replaced: the success was of another.
+    write(path, replace(newer, status="failed", outputs={}, error="broken"))
+    assert found(path, A.input) == [None]
+    manifest = Manifest(path)
+    assert (manifest.n_done, manifest.n_failed) == (1, 1)
+    manifest.close()
     write(path, newer)
     assert found(path, A.input) == [newer]
     manifest = Manifest(path)

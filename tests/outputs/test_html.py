@@ -142,3 +142,8 @@ def test_a_cloud_without_colours_or_normals_makes_a_page(tmp_path: Path) -> None
     write_ply(tmp_path / "bare.ply", Cloud(np.ones((4, 3), np.float32)))
     write_page_of_file(tmp_path / "page.html", tmp_path / "bare.ply")
     assert facts(tmp_path / "page.html")["kind"] == "ply"
+
+
+def test_a_title_that_is_no_utf8_is_readable(tmp_path: Path) -> None:
+    write_page_of_maps(tmp_path / "page.html", MAPS, title="caf\udce9.jpg")
+    assert "<title>caf" in (tmp_path / "page.html").read_text(encoding="utf-8")

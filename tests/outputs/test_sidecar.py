@@ -24,6 +24,7 @@ def test_of_metres() -> None:
         "unit": "metre",
         "projection": "perspective",
         "depth_along": "optical axis",
+        "depth_range": (0.0, None),
         "png_scale": 256.0,
         "depth": {"min": 1.0, "median": 2.0, "max": 9.0},
         "median_confidence": 0.5,

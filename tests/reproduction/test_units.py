@@ -8,9 +8,10 @@ import pytest
 from tests.folders import write_pairs
 from tests.reproduction.conftest import TABLE
 
+from zoedepth.config import to_dict
 from zoedepth.reproduction.scale import Scale
 from zoedepth.reproduction.tables import TABLES, Table
-from zoedepth.reproduction.units import Training, Unit, data_content, plan, scored_names, share
+from zoedepth.reproduction.units import _LATER, Training, Unit, data_content, plan, scored_names, share
 
 
 def ids(units: list[Unit]) -> list[str]:
@@ -50,6 +51,17 @@ def test_a_result_belongs_to_configuration_data_seed_and_start(
     ]
     assert len({*first, *(each for found in others for each in found)}) == 10
     assert ids(plan(TABLE, workers, data, seeds=(3,))) == first
+
+
+def test_fields_that_came_later_count_where_they_are_set(tiny: Scale, data: dict[str, str]) -> None:
+    """Results that are published keep their names."""
+    config = to_dict(tiny.adapt(TABLE.rows[0]))
+    assert {name: config[name] for name in _LATER} == _LATER
+    first = ids(plan(TABLE, tiny, data, seeds=(3,)))
+    held = dataclasses.replace(
+        tiny, adapt=lambda row: dataclasses.replace(found := tiny.adapt(row), holdouts=(1,) * len(found.sources))
+    )
+    assert not set(first) & set(ids(plan(TABLE, held, data, seeds=(3,))))
 
 
 def test_rows_without_their_data_are_not_run(tiny: Scale) -> None:

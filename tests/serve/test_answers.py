@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ from tests.serve.running import read_maps
 from zoedepth.depth_map import DepthMap
 from zoedepth.geometry.camera import Camera
 from zoedepth.outputs import OUTPUTS, Options
-from zoedepth.serve.answers import FORMATS, NAMES, about, choose_format, encode
+from zoedepth.serve.answers import FORMATS, NAMES, about, choose_format, encode, remove_drafts
 from zoedepth.serve.photos import Decoded
 from zoedepth.serve.problems import Problem
 
@@ -33,7 +34,7 @@ def test_every_output_of_metres_is_a_format() -> None:
 @pytest.mark.parametrize("std", [True, False])
 def test_maps_of_any_size_are_aligned_and_whole(height: int, width: int, std: bool) -> None:
     result = depth_map(height, width, std=std)
-    header, arrays = read_maps(encode(result, PHOTO, FORMATS["maps"], Options(), model="m"))
+    header, arrays = read_maps(encode(result, PHOTO, FORMATS["maps"], Options(), model="m").content)
     assert ("std" in arrays) is std
     assert np.array_equal(arrays["depth"], result.depth)
     assert np.array_equal(arrays["valid"], result.valid)
@@ -48,6 +49,27 @@ def test_no_file_is_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     with pytest.raises(OSError, match="full"):
         encode(broken, PHOTO, FORMATS["depth"], Options(), model="m")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_was_begun_is_removed_before_the_process_ends_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zoedepth.serve.answers.memory_folder", lambda: str(tmp_path))
+    (tmp_path / "zoedepth-1-another").mkdir()  # of another process
+    seen: list[str] = []
+
+    def end(path: Path, *_: object) -> None:
+        path.write_text("half a photo")
+        seen.append(path.parent.name)
+        remove_drafts()
+        assert not path.parent.exists()
+        raise SystemExit
+
+    monkeypatch.setitem(OUTPUTS, "depth", replace(OUTPUTS["depth"], write=end))
+    with pytest.raises(SystemExit):
+        encode(depth_map(3, 5), PHOTO, FORMATS["depth"], Options(), model="m")
+    assert len(seen) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["zoedepth-1-another"]
 
 
 class _Full:

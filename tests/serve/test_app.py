@@ -8,7 +8,7 @@ from PIL import Image
 from tests.serve.running import Client, photo, read_maps, running
 
 from zoedepth.batch import Request, find_photos, predict_photo
-from zoedepth.calibration import calibrate, write_calibration
+from zoedepth.calibration import calibrate, read_calibration, write_calibration
 from zoedepth.outputs import Options
 from zoedepth.predict import Predictor
 from zoedepth.serve.app import create_app
@@ -83,6 +83,11 @@ class TestDepth:
         result.save(tmp_path / "depth.png", scale=256)
         assert answer.body == (tmp_path / "depth.png").read_bytes()
 
+    def test_what_a_number_in_a_file_means_is_told(self, client: Client) -> None:
+        clipped = client.ask("/v1/depth?png_scale=50000", photo())
+        assert clipped.headers["zoedepth-notes"].startswith("clipped: too far for the scale of the PNG")
+        assert "zoedepth-notes" not in client.ask("/v1/depth?png_scale=256", photo()).headers
+
     def test_flip_is_averaged_unless_it_is_declined(self, client: Client, predictor: Predictor) -> None:
         _, arrays = read_maps(client.ask("/v1/depth?format=maps&flip=false", photo()).body)
         expected = Predictor(predictor.model, flip_average=False)(io.BytesIO(photo()))
@@ -91,7 +96,7 @@ class TestDepth:
     @pytest.mark.parametrize(
         "query",
         ["model=other", "domain=space", "format=gif", "fov_x=180", "fov_x=nan", "focal_px=0", "colour=1",
-         "camera=exif&fov_x=50", "intrinsics=1,2,3", "vmin=3&vmax=2", "max_triangles=0", "flip=perhaps",
+         "camera=exif&fov_x=50", "intrinsics=1,2,3", "vmin=3&vmax=2", "vmax=inf", "max_triangles=0", "flip=perhaps",
          "focal_correction=yes", "calibration_scale=0", "intrinsics=-1,1,0,0", "focal_px=0.1",
          "intrinsics=3300,3300,1919.5,1439.5"],
     )  # fmt: skip
@@ -190,6 +195,11 @@ class TestCalibrate:
         found = calibrate(result.depth, [(x, y, 2.5)], camera=result.camera, valid=result.valid, along_ray=True)
         assert made.json["calibration"]["scale"] == found.scale
         (tmp_path / "c.json").write_bytes(made.body)
+        assert made.json["calibration"]["network"] == "tiny.safetensors"  # and not the folder that it lies in
+        reasons = read_calibration(tmp_path / "c.json").mismatches(
+            camera=None, network="runs/tiny.safetensors", domain=None, focal_corrected=result.focal_correction != 1
+        )
+        assert reasons == ()  # `zoedepth predict --model runs/tiny.safetensors --calibration c.json`
         again = client.form("/v1/depth?format=json", {"photo": photo(), "calibration": made.body})
         assert again.json["calibration"]["scale"] == found.scale
 

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 import pytest
+from PIL import Image
 from tests.serve.running import photo
 from tests.servers import PATIENCE
 
@@ -297,6 +298,29 @@ def test_a_photo_that_is_too_narrow_is_refused_by_its_header(model_file: str, mo
         assert caught.value.kind == "invalid-request"
 
     monkeypatch.setattr("zoedepth.predict.MAX_NETWORK_AREA", 0.1)
+    play(Settings((model_file,)), game)
+
+
+def test_a_photo_may_be_too_narrow_only_until_its_notes_turn_it(
+    model_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    lying = photo(48, 64, exif=exif, format="JPEG")
+    size_of = Predictor.network_size
+
+    def network_size(self: Predictor, size: tuple[int, int]) -> tuple[int, int]:
+        if size[0] > size[1]:
+            raise InputError("too long and narrow")
+        return size_of(self, size)
+
+    async def game(engine: Engine) -> None:
+        result, _ = await engine.compute(lying, Wanted(), whole, gone=gone())
+        assert result.size == (48, 64)
+        with pytest.raises(Problem, match="too long and narrow"):
+            await engine.compute(photo(48, 64), Wanted(), whole, gone=gone())
+
+    monkeypatch.setattr(Predictor, "network_size", network_size)
     play(Settings((model_file,)), game)
 
 

@@ -60,10 +60,14 @@ def make_config(tiny_config: ModelConfig) -> Callable[..., TrainConfig]:
 def start_run(
     make_config: Callable[..., TrainConfig], data: dict[str, Path], tmp_path: Path
 ) -> Iterator[Callable[..., Run]]:
-    """Yield a function that sets up a run of stage 2 in ``tmp_path / "run"``; fields as in ``make_config``."""
+    """Yield a function that sets up a run of stage 2 in ``tmp_path / "run"``; fields as in ``make_config``.
+
+    The run before ends when the next one begins: one command at a time trains in a folder.
+    """
     with ExitStack() as stack:
 
         def start(*, data: dict[str, Path] = data, init: str | None = None, **fields: object) -> Run:
+            stack.close()
             config = make_config(**fields)
             fabric = launch_fabric(config, devices=1, n_nodes=1)
             context = set_up(config, fabric, part=lambda model: model, data=data, out=tmp_path / "run", init=init)

@@ -118,7 +118,10 @@ def test_router_is_trained_where_there_is_something_to_tell_apart(planned, tmp_p
     assert both.config.batch_size == 3  # as many as are left
     assert (both.new_domains, both.unseen_domains) == ((), ())
     more = planned({"rooms": rooms, "streets": write_pairs(tmp_path / "more", n=14, domain="outdoor")})
-    assert more.config.holdout == 1  # the smaller set has no more than one to spare
+    # Each is measured on as many of its own as it can spare.
+    held_out = [more.config.held_out(source.name) for source in more.config.sources]
+    assert sorted(held_out) == [1, 2]
+    assert len(more.config.holdouts) == 2
     new = planned({"lidar": write_sparse(tmp_path / "lidar")})
     assert new.config.domain_weight == 1
     assert new.config.sources[0].sparse

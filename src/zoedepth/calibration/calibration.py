@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -139,7 +139,7 @@ class Calibration:
         found = []
         if self.camera is not None and camera is not None and (reason := other_camera(self.camera, camera)):
             found.append(reason)
-        if self.network is not None and network is not None and network != self.network:
+        if self.network is not None and network is not None and not _one_network(network, self.network):
             found.append(f"it was measured with the model {self.network}, and this is {network}")
         if self.domain is not None and domain is not None and domain != self.domain:
             found.append(f"it was measured with the head for {self.domain}, and this depth is of that for {domain}")
@@ -219,6 +219,13 @@ def _transformed(depth: DepthArray, scale: float, power: float) -> DepthArray:
         return (depth * np.float32(scale)).astype(np.float32)
     known = known_depth(depth)
     return np.where(known, np.where(known, depth, 1) ** power * scale, depth).astype(np.float32)
+
+
+def _one_network(one: str, other: str) -> bool:
+    """Return True if two names are of one model: they are equal, or one is a path and the other its file's name."""
+    return one == other or any(
+        PurePath(name).suffix != "" and name == PurePath(path).name for name, path in ((one, other), (other, one))
+    )
 
 
 def _check_number(name: str, value: float, low: float, high: float) -> None:

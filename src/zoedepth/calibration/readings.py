@@ -140,7 +140,7 @@ def measure(
         here = [row for row, (points, _) in enumerate(listed) if i < len(points)]
         if not here:
             continue
-        columns, rows = np.array([listed[row][0][i] for row in here]).round().astype(int).T
+        columns, rows = np.floor(np.array([listed[row][0][i] for row in here]) + 0.5).astype(int).T
         rows, columns = rows.clip(0, depth.shape[0] - 1), columns.clip(0, depth.shape[1] - 1)
         for row in np.array(here)[~known[rows, columns]]:
             raise InputError(

@@ -82,7 +82,17 @@ def _maps_before(values: Mapping[str, Any], files: Mapping[str, Path], calibrati
         std=_std_before(files["npz"], depth, calibration) if "npz" in files else None,
         image=_photo(Path(values["source"]), depth.shape) if set(files) - _WITHOUT_PHOTO else None,
         camera=from_dict(Camera, camera, where="camera") if isinstance(camera, dict) else None,
+        depth_range=_range_before(values.get("depth_range"), calibration),
     )
+
+
+def _range_before(told: object, calibration: Calibration) -> tuple[float, float]:
+    """Return the range of the model's depth; older sidecars tell none, and all depth counts as valid there."""
+    if not (isinstance(told, list) and len(told) == 2 and all(isinstance(end, int | float | None) for end in told)):
+        return 0.0, np.inf
+    near, far = (np.inf if end is None else float(end) for end in told)
+    near, far = calibration.undo(np.array([[near, far]], np.float32))[0].tolist()
+    return near, far
 
 
 def _std_before(file: Path, depth: DepthArray, calibration: Calibration) -> DepthArray | None:

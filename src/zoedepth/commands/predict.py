@@ -18,7 +18,7 @@ import tyro
 from rich.console import Console
 from rich.markup import escape
 
-from zoedepth.errors import InputError, InputWarning
+from zoedepth.errors import InputError, InputWarning, Terminated
 from zoedepth.folders import check_writable
 from zoedepth.outputs import OUTPUTS, Options, output_names
 from zoedepth.stored import to_json
@@ -234,13 +234,16 @@ def predict(
             _tell_left_out(listing.found, console)
             searched = ", ".join(sources) or "no source given"
             n_ignored = listing.found.n_ignored
-            if part.count > 1 and listing.any_listed and not listing.found.unreadable:  # other shards have them all
+            # Other shards may have them all.
+            if part.count > 1 and listing.first is not None and not listing.found.unreadable:
                 console.print(f"No photos in shard {part} ({escape(searched)}): nothing to do", soft_wrap=True)
                 return 0
             console.print(f"No photos to predict ({escape(searched)}; {n_ignored} other files).", soft_wrap=True)
             return EXIT_NOTHING_TO_DO
+        # All shards of a job take the size of one photo, whichever of them has it.
+        sized = first if part.count == 1 or listing.first is None else [listing.first]
         known_camera = chosen_camera(
-            (photo.path if photo.origin is None else BytesIO(photo.origin.read()) for photo in first),
+            (photo.path if photo.origin is None else BytesIO(photo.origin.read()) for photo in sized),
             camera=camera,
             fov_x=fov_x,
             fov_y=fov_y,
@@ -251,7 +254,7 @@ def predict(
         about_metres = known_camera != "exif" or focal_correction == "yes"
         if relative and about_metres:
             raise InputError(_NO_METRES)
-        if panorama and known_camera != "exif":
+        if panorama and not isinstance(known_camera, str):
             raise InputError(_NO_CAMERA)
         place = job_place(out if stored else folder, part, kept=not streamed)
         if not stored:
@@ -408,7 +411,7 @@ class _Report:
             with _terminated_as_interrupted(self._give_up), show_tally(self.tally, "depth", self.console):
                 for done in results:
                     self._take(done)
-        except _Terminated:
+        except Terminated:
             code, state = EXIT_TERMINATED, "Terminated: "
         except KeyboardInterrupt:
             code, state = EXIT_INTERRUPTED, "Interrupted: "
@@ -489,10 +492,6 @@ def _print_json(
     print(to_json({"photo": photo, "files": files or {}, **values, "error": error or None}), flush=True)
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM came."""
-
-
 @contextmanager
 def _terminated_as_interrupted(give_up: Callable[[], None]) -> Iterator[None]:
     """Let SIGTERM, with which systems and schedulers end a program, do what Ctrl-C does.
@@ -507,7 +506,7 @@ def _terminated_as_interrupted(give_up: Callable[[], None]) -> Iterator[None]:
             timers.append(threading.Timer(_PATIENCE, give_up))
             timers[0].daemon = True
             timers[0].start()
-        raise _Terminated
+        raise Terminated
 
     if threading.current_thread() is not threading.main_thread():  # others get no signals
         yield

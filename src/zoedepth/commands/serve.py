@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, Terminated
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
@@ -72,6 +72,7 @@ def serve(
         access_log: log every request.
     """
     from zoedepth.batch import share_cores
+    from zoedepth.serve.answers import remove_drafts
     from zoedepth.serve.app import create_app
     from zoedepth.serve.server import bind, run, run_several
     from zoedepth.serve.settings import Limits, Settings
@@ -104,23 +105,20 @@ def serve(
                 try:
                     run(service, settings, listener, access_log=access_log)
                 except KeyboardInterrupt as interrupt:
-                    code = EXIT_TERMINATED if isinstance(interrupt, _Terminated) else EXIT_INTERRUPTED
+                    code = EXIT_TERMINATED if isinstance(interrupt, Terminated) else EXIT_INTERRUPTED
                 if service.is_computing:  # for clients who have their answer, that it took too long
+                    remove_drafts()
                     os._exit(code)
                 return code
-    except _Terminated:
+    except Terminated:
         return EXIT_TERMINATED
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM came."""
-
-
 def _end(*_: object) -> None:
-    raise _Terminated
+    raise Terminated
 
 
 def _tell(address: str, models: tuple[str, ...], *, open_: bool) -> None:

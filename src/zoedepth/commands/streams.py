@@ -3,12 +3,12 @@
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from glob import has_magic
 from pathlib import Path
 from shutil import copyfileobj
 from tempfile import TemporaryDirectory
 
 from zoedepth.errors import InputError
+from zoedepth.jobs.inputs import source_kind
 
 STREAM = "-"
 
@@ -56,7 +56,7 @@ def _check(sources: tuple[str, ...], out: Path, *, kinds: Sequence[str], json_: 
             "a photo from standard input (-) has no name, so that its files would have none: give --out -, or save the "
             "photo as a file"
         )
-    if len(sources) != 1 or Path(sources[0]).is_dir() or has_magic(sources[0]):
+    if len(sources) != 1 or (sources[0] != STREAM and source_kind(sources[0]) not in ("photo", "address of a photo")):
         raise InputError("--out - writes one file to standard output: give one photo, or a folder as --out")
     if len(kinds) != 1:
         raise InputError(

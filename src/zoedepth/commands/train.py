@@ -238,7 +238,7 @@ def _described(plan: "Plan", out: Path) -> Iterator[str]:
         ranges = ", ".join(f"{domain} {found.near[domain]:.2f} to {found.far[domain]:.1f} m" for domain in found.near)
         yield (
             f"{name}: {found.n} pairs, {width}x{height}{others}; depth known at {found.known:.0%} ({kind}); {ranges}. "
-            f"The last {config.holdout} are held out."
+            f"The last {config.held_out(name)} are held out."
         )
         if config.model.canonical_camera:
             yield f"{name}: {_lenses(found)}"

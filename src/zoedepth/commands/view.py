@@ -89,7 +89,7 @@ def view(
         intrinsics=intrinsics,
     )
     panorama = panorama or is_sphere(source)
-    if panorama and known_camera != "exif":
+    if panorama and not isinstance(known_camera, str):
         raise InputError("a panorama looks everywhere and has no camera: leave the camera out")
     with download_progress() as progress:
         network = load_for_prediction(model, device=device, progress=progress)

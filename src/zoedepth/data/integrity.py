@@ -13,7 +13,7 @@ import numpy as np
 
 from zoedepth.data.fit import check_fit
 from zoedepth.data.pairs import PairDataset
-from zoedepth.data.sample import Samples
+from zoedepth.data.sample import Packed, Samples
 from zoedepth.errors import InputError
 from zoedepth.images import FORMATS
 from zoedepth.pictures import open_picture, read_exif
@@ -37,7 +37,7 @@ def find_broken(
     Args:
         dataset: the data set. Of shards, Hugging Face's rows and rendered scenes, which are checked when they are
             opened, nothing more is looked at unless ``full``.
-        full: read every sample.
+        full: read every sample, and compare shards with their hashes.
         progress: called with the number of samples that are done, and of all.
 
     Returns:
@@ -56,8 +56,9 @@ def find_broken(
             return str(error)
         return None
 
-    indices = [i for i in range(len(dataset)) if pairs is None or pairs[i].target is not None]
-    broken: dict[int, str] = {}
+    # What is read may look right where bytes have changed.
+    broken = dataset.altered() if full and isinstance(dataset, Packed) else {}
+    indices = [i for i in range(len(dataset)) if i not in broken and (pairs is None or pairs[i].target is not None)]
     with ThreadPoolExecutor(_THREADS) as pool:
         for start in range(0, len(indices), _CHUNK):
             chunk = indices[start : start + _CHUNK]

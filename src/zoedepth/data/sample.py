@@ -72,6 +72,15 @@ class Ordered(Samples, Protocol):
         ...
 
 
+@runtime_checkable
+class Packed(Samples, Protocol):
+    """A data set in few large files, whose hashes were written down with them."""
+
+    def altered(self) -> dict[int, str]:
+        """Return the numbers of the samples in files that are not as they were written → which file, and what to do."""
+        ...
+
+
 class Batch(NamedTuple):
     """Samples whose photos have one size, stacked."""
 

@@ -149,21 +149,23 @@ class ModelSource:
         """
         streams = min(cpu_count(), _MOST_WORKERS)
         precision: Precision = "float32"
+        # A training may add a newer checkpoint at any moment: the one that is loaded is the one that is hashed.
+        place = find(name) if Path(name).is_dir() else name
         about: dict[str, object] = {"model": str(name), "compat": list(compat)}
         with share_cores(streams):  # an exported model takes its threads when it is loaded
             if fast:
-                chosen = load_fast(name, compat=compat, device=device, streams=streams, progress=progress, tell=tell)
+                chosen = load_fast(place, compat=compat, device=device, streams=streams, progress=progress, tell=tell)
                 loaded, precision, device = chosen.model, chosen.precision, chosen.device
                 about["fast"] = chosen.runtime
                 if tell is not None:
                     tell(f"{name} is computed by {chosen.runtime} ({chosen.why})")
             else:
-                loaded = load_for_prediction(name, device=device, compat=compat, streams=streams, progress=progress)
+                loaded = load_for_prediction(place, device=device, compat=compat, streams=streams, progress=progress)
         model = Predictor(loaded, device=device).model
         if isinstance(model, ExportedModel):
             about["runtime"] = model.runtime
         # What is fast may be a file that was exported from the weights: one in 8 bits is another for other photos.
-        weights = weights_fingerprint(model.path if fast and isinstance(model, ExportedModel) else find(name))
+        weights = weights_fingerprint(model.path if fast and isinstance(model, ExportedModel) else find(place))
         return cls(model, about=about, weights=weights, camera=camera, streams=streams, precision=precision)
 
     @property

@@ -118,7 +118,7 @@ def aligned_depth(
         inverse = np.nan_to_num(inverse, nan=1 / low, posinf=1 / low, neginf=0.0)
         # A disparity of 0 or less is infinitely far.
         depth = 1 / np.maximum(align_least_squares(inverse, 1 / np.maximum(truth, 1e-6), scored), 1 / high)
-    depth = np.nan_to_num(depth, nan=low, posinf=high, neginf=low)
-    if protocol.alignment == "median":
-        depth = align_median(depth, truth, scored)
-    return depth.clip(low, high)
+    if protocol.alignment == "median":  # before that, since its unit may be any
+        known = scored & np.isfinite(depth)
+        depth = align_median(depth, truth, known) if known.any() else depth
+    return np.nan_to_num(depth, nan=low, posinf=high, neginf=low).clip(low, high)

@@ -241,7 +241,8 @@ def mri_table(summaries: Sequence[Summary], reference: str) -> ReportTable:
     if reference not in labels:
         raise InputError(f"the reference of mRI is {reference!r}, which is not scored: give one of {labels}")
     names = list(dict.fromkeys(summary.data for summary in summaries))
-    metrics = {(s.source, s.data): asdict(s.metrics) for s in summaries if s.metrics is not None}
+    # What has no prediction for some photos has the metrics of others.
+    metrics = {(s.source, s.data): asdict(s.metrics) for s in summaries if s.metrics is not None and not s.n_failed}
     rows = []
     for label in labels:
         cells = [mri_cell(mri_metrics, metrics.get((label, name)), metrics.get((reference, name))) for name in names]
@@ -256,6 +257,8 @@ def mri_table(summaries: Sequence[Summary], reference: str) -> ReportTable:
         "mRI_theta: mean improvement of delta1, REL and RMSE on a data set; mRI_D: of REL, mean over the data sets. "
         "Both are in percent of the reference; more is better."
     )
+    if any(summary.n_failed for summary in summaries):
+        note += f" {NOT_RUN}: where photos failed, since the others would be compared with all."
     return ReportTable(f"Mean relative improvement over {reference}, %", header, tuple(rows), note=note)
 
 

@@ -20,6 +20,7 @@ from zoedepth.images import DepthArray, ImageArray
 from zoedepth.model.interface import DepthModel, DepthOutput
 from zoedepth.pixels import reflect_pad, resize_pixels
 from zoedepth.sizes import border
+from zoedepth.threads import threads_kept
 from zoedepth.weights.exported import ExportedModel
 
 
@@ -80,16 +81,13 @@ class TensorForward:
 
     def _side_by_side(self, photos: Photos, head: int | None, *, workers: int) -> list[Answer]:
         """Predict photos at the same time, each on its share of torch's threads."""
-        threads = torch.get_num_threads()
-        workers = min(workers, threads, len(photos))
-        if workers < 2:
-            return [self._predict([image], size, head)[0] for image, size in photos]
-        share = threads // workers
-        try:
+        with threads_kept() as threads:
+            workers = min(workers, threads, len(photos))
+            if workers < 2:
+                return [self._predict([image], size, head)[0] for image, size in photos]
+            share = threads // workers
             with ThreadPoolExecutor(workers, initializer=torch.set_num_threads, initargs=(share,)) as executor:
                 return list(executor.map(lambda photo: self._predict([photo[0]], photo[1], head)[0], photos))
-        finally:
-            torch.set_num_threads(threads)  # what a thread sets holds for all that start later
 
     @torch.inference_mode()
     def _predict(self, images: Sequence[ImageArray], size: tuple[int, int], head: int | None) -> list[Answer]:

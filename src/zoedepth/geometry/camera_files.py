@@ -247,7 +247,30 @@ def _of_keys(values: Mapping[str, Any]) -> _Stated:
         objection = _objection([number for key in curves for number in _flat(known[key])])
     size = _size_in(known)
     source = known["source"] if known.get("source") in get_args(CameraSource) else "given"
-    return _Stated(_intrinsics_in(known, size), size, source, objection)
+    intrinsics = _intrinsics_in(known, size)
+    if isinstance(known.get("roi"), Mapping):
+        intrinsics, size = _of_region(known["roi"], intrinsics, size)
+    return _Stated(intrinsics, size, source, objection)
+
+
+def _of_region(
+    region: Mapping[str, Any], intrinsics: Intrinsics, size: tuple[int, int] | None
+) -> tuple[Intrinsics, tuple[int, int] | None]:
+    """Return the camera of the photos, and their size, where ROS's driver sends a window of the sensor.
+
+    ROS's matrix and size are those of the whole sensor, whatever is sent of it (``sensor_msgs/CameraInfo``).
+    """
+    known = {_plain(key): value for key, value in region.items()}
+    left, top, width, height = _numbers([known.get(name, 0) for name in ("xoffset", "yoffset", "width", "height")])
+    if width == 0 and height == 0:  # the whole, by convention
+        return intrinsics, size
+    window = _sides(width, height)
+    if size is not None and not (0 <= left <= size[1] - window[1] and 0 <= top <= size[0] - window[0]):
+        raise InputError(
+            f"its roi, {width:g} x {height:g} pixels at ({left:g}, {top:g}), does not lie in its photos of {size[1]} x "
+            f"{size[0]}: correct it, or leave it out"
+        )
+    return intrinsics.cropped(top, left), window
 
 
 def _intrinsics_in(known: Mapping[str, Any], size: tuple[int, int] | None) -> Intrinsics:

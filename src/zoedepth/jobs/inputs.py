@@ -88,12 +88,13 @@ class Sources:
 
     These files are not opened to see whether this package wrote them. It may be set while the inputs are listed: it is
     asked from the next folder on."""
-    any_listed: bool = False
-    """True as soon as an input was listed, of whatever shard."""
+    first: Input | None = None
+    """The first input that was listed, of whatever shard; None until there is one."""
 
     def __post_init__(self) -> None:
+        written = f"{self.out.rstrip('/')}/"
         for name in self.names:
-            if self.out and _kind(name) == "address" and f"{name.rstrip('/')}/".startswith(f"{self.out.rstrip('/')}/"):
+            if self.out and source_kind(name) == "address" and f"{name.rstrip('/')}/".startswith(written):
                 raise InputError(
                     f"{name} lies in --out {self.out}, so that depth maps would be taken for photos when this is typed "
                     "again: write to another prefix"
@@ -102,7 +103,7 @@ class Sources:
     @property
     def named(self) -> bool:
         """True if each source is a photo that was named itself: no folder, glob, list or archive."""
-        return all(_kind(name) in ("photo", "address of a photo") for name in self.names)
+        return all(source_kind(name) in ("photo", "address of a photo") for name in self.names)
 
     def inputs(self) -> Iterator[Input]:
         """Yield the inputs of the shard, each once."""
@@ -115,14 +116,14 @@ class Sources:
         Raises:
             InputError: a tar file is among them, which would be read from its beginning to its end for this.
         """
-        if any(_kind(name) == "tar" for name in self.names):
+        if any(source_kind(name) == "tar" for name in self.names):
             raise InputError("the members of a tar file are not counted first")
         # In a thread of its own, which may outlive the manifest that ``known`` asks.
         return replace(self, found=Found(), known=None).inputs()
 
     def _inputs(self, found: Found) -> Iterator[Input]:
         seen, taken = Names(), Names()
-        kinds = [_kind(name) for name in self.names]
+        kinds = [source_kind(name) for name in self.names]
         several = sum(kind not in ("photo", "address of a photo", "list", "table") for kind in kinds) > 1
         try:
             run: list[str] = []  # files and folders here, which share their rules
@@ -152,10 +153,9 @@ class Sources:
         for group in groups:
             above = None if not several else _stem(group[0]) if Path(group[0]).is_dir() else ""
             photos = walk_photos(group, found, seen=seen, taken=taken, above=above, known=known)
-            for path, place, target in photos:
-                self.any_listed = True
-                if self.shard.holds(place):
-                    yield Input(os.path.abspath(path), place, target, path)
+            yield from self._of_shard(
+                Input(os.path.abspath(path), place, target, path) for path, place, target in photos
+            )
 
     def _placed(
         self, listed: Iterator["_Listed"], seen: Names, taken: Names, *, above: str, together: int
@@ -164,10 +164,18 @@ class Sources:
         while some := list(islice(listed, together)):
             new = [each for each in some if seen.add(each.name)]
             places = [PurePosixPath(above) / each.place for each in new]
-            for each, place, target in zip(new, places, targets(places, taken), strict=True):
-                self.any_listed = True
-                if self.shard.holds(place):
-                    yield Input(each.name, place, target, each.path, each.origin, each.size, each.version)
+            yield from self._of_shard(
+                Input(each.name, place, target, each.path, each.origin, each.size, each.version)
+                for each, place, target in zip(new, places, targets(places, taken), strict=True)
+            )
+
+    def _of_shard(self, inputs: Iterable[Input]) -> Iterator[Input]:
+        """Yield those that belong to the shard, and remember the first of all."""
+        for each in inputs:
+            if self.first is None:
+                self.first = each
+            if self.shard.holds(each.place):
+                yield each
 
     def _elsewhere(self, name: str, kind: str, found: Found) -> Iterator["_Listed"]:
         """Yield what a list, a table, an archive or an address has."""
@@ -212,8 +220,11 @@ class _Listed:
     version: int | str | None = None
 
 
-def _kind(name: str) -> str:
-    """Return the kind of a source: photo, here (a folder or a glob of this machine), list, table, zip, tar, address."""
+def source_kind(name: str) -> str:
+    """Return the kind of a source, by what there is on this machine, and then by the name.
+
+    Kinds: photo, here (a folder or a glob of this machine), list, table, zip, tar, address, address of a photo.
+    """
     address = is_address(name)
     if not address and Path(name).is_dir():
         return "here"

@@ -15,15 +15,16 @@ import os
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
 
 from zoedepth.errors import InputError
-from zoedepth.jobs.lock import this_process
 from zoedepth.jobs.names import row_key, temporary_database
 from zoedepth.jobs.shard import JobShard
+from zoedepth.lock import only_one, this_process
 from zoedepth.stored import readable, to_json
 
 NAME = "zoedepth-manifest"
@@ -97,6 +98,15 @@ def manifest_name(shard: JobShard) -> str:
     return f"{NAME}.jsonl" if shard.count == 1 else f"{NAME}-{shard.index}-of-{shard.count}.jsonl"
 
 
+def only_command(manifest: Path) -> AbstractContextManager[None]:
+    """Return the lock of a manifest, see ``zoedepth.lock.only_one``."""
+    return only_one(
+        manifest,
+        work=f"works on {manifest}",
+        advice="wait for it, stop it, give each command a --shard of its own, or choose another --out",
+    )
+
+
 def is_manifest(path: Path) -> bool:
     """Return True for a manifest of ours, or the beginning of one that was cut."""
     with path.open("rb") as file:
@@ -110,7 +120,7 @@ class Manifest:
     Its index is on disk, in a temporary database, so that memory does not grow with the inputs.
 
     Args:
-        path: the file; it need not exist. Its lock must be held (``lock.only_one``).
+        path: the file; it need not exist. Its lock must be held (``only_command``).
         whole: the manifest of the whole job, if this is a shard's: what is done there is done.
 
     Raises:
@@ -303,12 +313,12 @@ class Manifest:
         )
 
     def _keep(self, rows: list[_Row]) -> None:
-        """Put lines into the index. A success stays, whatever fails after it by the same settings."""
+        """Put lines into the index. A success stays, whatever fails after it by the same settings on the same input."""
         self._database.execute("BEGIN")
         self._database.executemany(
             "INSERT INTO entries VALUES (?, ?, ?, ?, ?) ON CONFLICT (key) DO UPDATE SET place = excluded.place, "
             "done = excluded.done, run = excluded.run, state = excluded.state "
-            "WHERE excluded.done OR NOT done OR run != excluded.run",
+            "WHERE excluded.done OR NOT done OR run != excluded.run OR state != excluded.state",
             rows,
         )
         self._database.execute("COMMIT")

@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 
 from zoedepth.errors import InputError
 from zoedepth.jobs.destinations import Destination, LocalFolder
-from zoedepth.jobs.lock import only_one
-from zoedepth.jobs.manifest import Manifest, manifest_name
+from zoedepth.jobs.manifest import Manifest, manifest_name, only_command
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
 from zoedepth.jobs.store import Store
@@ -54,7 +53,7 @@ class JobPlace:
         assert isinstance(self.destination, LocalFolder)
         folder = self.destination.folder
         folder.mkdir(parents=True, exist_ok=True)
-        stack.enter_context(only_one(folder / name))
+        stack.enter_context(only_command(folder / name))
         whole = folder / manifest_name(JobShard())
         is_part = self.shard.count > 1 and whole.exists()
         manifest = Manifest(folder / name, whole=stack.enter_context(closing(Manifest(whole))) if is_part else None)

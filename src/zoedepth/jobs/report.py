@@ -8,12 +8,12 @@ from pathlib import Path
 
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
-from zoedepth.jobs.lock import HeldError, lock_file, only_one
-from zoedepth.jobs.manifest import NAME, Entry, Manifest, begin_line, manifest_name
+from zoedepth.jobs.manifest import NAME, Entry, Manifest, begin_line, manifest_name, only_command
 from zoedepth.jobs.origins import is_address, open_store, patiently
 from zoedepth.jobs.shard import JobShard
 from zoedepth.jobs.store import Store
 from zoedepth.jobs.stored_manifest import StoredManifest
+from zoedepth.lock import HeldError, lock_file
 
 _FILE = re.compile(rf"{NAME}(?:-(\d+)-of-(\d+))?(?:\.jsonl)?")
 
@@ -122,7 +122,7 @@ def merge_shards(out: str) -> int:
         raise InputError(f"{out} has one manifest, {whole}, and no shards to merge")
     with ExitStack() as stack:
         for name in {*names, whole}:
-            stack.enter_context(only_one(folder / name))
+            stack.enter_context(only_command(folder / name))
         manifests = [stack.enter_context(_opened(out, name)) for name in names]
         jobs = {manifest.counted for manifest in manifests if manifest.counted is not None}
         # Where photos were only named one by one, as by a shell's *.jpg, there is no job, and all commands must agree.
@@ -162,7 +162,7 @@ def _is_running(manifest: Path) -> bool | None:
     if not lock_file(manifest).exists():
         return False
     try:
-        with only_one(manifest):
+        with only_command(manifest):
             return False
     except HeldError:
         return True

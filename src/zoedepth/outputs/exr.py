@@ -69,7 +69,8 @@ def write_exr(
 def _camera_attributes(camera: Camera) -> dict[str, object]:
     """Return what the header says of the camera.
 
-    In the axes of OpenEXR's camera x points to the left and y up ("Technical Introduction", openexr.com).
+    In the axes of OpenEXR's camera x points to the left and y up ("Technical Introduction", openexr.com). Its screen
+    window has square pixels, of the horizontal focal length; where the vertical one differs, ``intrinsics`` has both.
     """
     height, width = camera.size
     right, down = ((width - 1) / 2 - camera.cx) / camera.fx, ((height - 1) / 2 - camera.cy) / camera.fy

@@ -20,6 +20,7 @@ from zoedepth.outputs.cloud import AXES, Cloud, cloud_of
 from zoedepth.outputs.glb import GLB
 from zoedepth.outputs.output import Maps, Options, Output, Written
 from zoedepth.outputs.ply import write_ply
+from zoedepth.stored import readable
 
 MAX_FILE = 1 << 28
 """Bytes of the largest file that a page can hold: browsers take no longer texts."""
@@ -60,7 +61,7 @@ def write_page(path: str | Path, content: bytes, *, kind: Kind, title: str, up: 
     facts = json.dumps({"kind": kind, "up": up, "place": place})
     page = Template(texts["page.html"]).substitute(
         mark=OWN_MARK,
-        title=html.escape(title),
+        title=html.escape(readable(title)),
         facts=facts,
         content=base64.b64encode(content).decode("ascii"),
         three=texts["three.min.js"],

@@ -1,5 +1,6 @@
 """The JSON beside the other files of a photo: where they came from, and how to read them."""
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -32,7 +33,11 @@ def describe(
     """
     unit = "none: inverse depth up to an unknown scale and shift, near is large" if maps.depth is None else "metre"
     camera = {} if maps.camera is None else {"camera": asdict(maps.camera)}
-    measured = {} if maps.depth is None else {"projection": maps.projection, "depth_along": maps.depth_along}
+    measured = {} if maps.depth is None else {
+        "projection": maps.projection,
+        "depth_along": maps.depth_along,
+        "depth_range": tuple(metres if math.isfinite(metres) else None for metres in maps.depth_range),
+    }  # fmt: skip
     return {**origin, **camera, "unit": unit, **measured, **facts, **_statistics(maps), "files": dict(files)}
 
 

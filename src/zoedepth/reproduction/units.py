@@ -24,6 +24,9 @@ from zoedepth.weights.load import find
 _NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check", "accumulate")
 """Fields of a configuration that do not change its result."""
 
+_LATER = {"holdouts": ()}
+"""Fields that came after results had been published, and their defaults: they count only where they are set."""
+
 
 @dataclass(frozen=True)
 class Training:
@@ -178,7 +181,8 @@ def _training(
     states: Mapping[str, str],
     weights: Mapping[str, str],
 ) -> Training:
-    values: dict[str, Any] = {k: v for k, v in to_dict(config).items() if k not in _NO_MATTER}
+    fields = to_dict(config)
+    values: dict[str, Any] = {k: v for k, v in fields.items() if k not in _NO_MATTER and _LATER.get(k) != v}
     begin = start.id if isinstance(start, Training) else weights.get(start, start)
     own = {source.name: data[source.name] for source in config.sources}
     return Training(name, config, own, start, fingerprint([values, dict(states), begin]))

@@ -1,15 +1,15 @@
 """Answers: the files of `zoedepth predict`, the same to the last byte, and what the page needs."""
 
 import json
-import math
 import os
+import shutil
 import struct
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from zoedepth.stored import to_json
 
 MAPS, JSON = "maps", "json"
 MAPS_TYPE = "application/vnd.zoedepth.maps"
+NOTES = "zoedepth-notes"
+"""Header with what is worth knowing about the file that is answered."""
 DEFAULT = "depth"
 """Name of the format of the answer where the client says none."""
 
@@ -120,7 +122,6 @@ def about(result: DepthMap, photo: Decoded, *, model: str, facts: Mapping[str, o
         "camera_note": result.camera_note,
         "focal_correction": result.focal_correction,
         "calibration": None if calibration is None else replace(calibration, readings=()).to_json(),
-        "depth_range": tuple(metres if math.isfinite(metres) else None for metres in result.depth_range),
         "notes": list(photo.warnings),
     }
     told = sidecars.describe(result.maps, origin=origin, facts=facts, files={})
@@ -128,7 +129,15 @@ def about(result: DepthMap, photo: Decoded, *, model: str, facts: Mapping[str, o
     return told | {"zoedepth": __version__}
 
 
-def encode(result: DepthMap, photo: Decoded, wanted: Format, options: Options, *, model: str) -> bytes:
+class File(NamedTuple):
+    """A file that is answered."""
+
+    content: bytes
+    notes: tuple[str, ...] = ()
+    """Sentences about it, see ``outputs.output.Written``: without them a number in it may be taken for another."""
+
+
+def encode(result: DepthMap, photo: Decoded, wanted: Format, options: Options, *, model: str) -> File:
     """Return a depth map as a file of the format.
 
     Raises:
@@ -136,13 +145,23 @@ def encode(result: DepthMap, photo: Decoded, wanted: Format, options: Options, *
         MissingExtraError: a library that the format needs is not installed.
     """
     if wanted.name == JSON:
-        return dump(about(result, photo, model=model, facts={}))
+        return File(dump(about(result, photo, model=model, facts={})))
     if wanted.name == MAPS:
-        return _encode_maps(result, about(result, photo, model=model, facts={}))
-    with tempfile.TemporaryDirectory(prefix="zoedepth-", dir=memory_folder()) as folder:
+        return File(_encode_maps(result, about(result, photo, model=model, facts={})))
+    with tempfile.TemporaryDirectory(prefix=_draft_prefix(), dir=memory_folder()) as folder:
         path = Path(folder, f"photo{wanted.ending}")
-        OUTPUTS[wanted.name].write(path, result.maps, options)
-        return path.read_bytes()
+        written = OUTPUTS[wanted.name].write(path, result.maps, options)
+        return File(path.read_bytes(), written.notes)
+
+
+def remove_drafts() -> None:
+    """Remove the files that this process has begun to write, before it ends at once: they are of somebody's photo."""
+    for folder in Path(memory_folder() or tempfile.gettempdir()).glob(f"{_draft_prefix()}*"):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _draft_prefix() -> str:
+    return f"zoedepth-{os.getpid()}-"
 
 
 def dump(values: object) -> bytes:

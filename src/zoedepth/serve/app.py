@@ -20,7 +20,7 @@ from zoedepth.calibration import calibrate as fit
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.serve import metrics as prometheus
-from zoedepth.serve.answers import FORMATS, about, choose_format, dump, encode
+from zoedepth.serve.answers import FORMATS, NOTES, File, about, choose_format, dump, encode
 from zoedepth.serve.body import PHOTO, read_parts
 from zoedepth.serve.description import INTRODUCTION, body_of, describe_names, photo_answers, problem_answers
 from zoedepth.serve.engine import Engine, Model, Times, told
@@ -118,7 +118,7 @@ def create_app(settings: Settings | None = None) -> Service:
             allow_origins=settings.origins,
             allow_methods=["GET", "POST"],
             allow_headers=["authorization", "content-type"],
-            expose_headers=["server-timing", "retry-after", "content-disposition"],
+            expose_headers=["server-timing", "retry-after", "content-disposition", NOTES],
         )
     guard = Guard(inner, settings, metrics, admit=engine.admit, on_close=engine.close)
     return Service(guard, engine)
@@ -162,12 +162,14 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
         parts = await read_parts(request, (PHOTO, "calibration"))
         put_right = _calibrated(query, parts, model)
 
-        def finish(result: DepthMap, photo: Decoded) -> bytes:
+        def finish(result: DepthMap, photo: Decoded) -> File:
             return encode(put_right(result), photo, wanted, options, model=model.name)
 
-        content, times = await compute(request, query, parts, finish)
-        name = f'attachment; filename="photo{wanted.ending}"'
-        return _answer(content, times, wanted.media_type, {"content-disposition": name})
+        file, times = await compute(request, query, parts, finish)
+        headers = {"content-disposition": f'attachment; filename="photo{wanted.ending}"'}
+        if file.notes:
+            headers[NOTES] = "; ".join(file.notes)
+        return _answer(file.content, times, wanted.media_type, headers)
 
     @app.post(
         "/v1/measure",
@@ -225,7 +227,7 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
                 form=query.form,
             )
             corrected = result.focal_correction != 1
-            found = replace(found, network=model.name, domain=result.domain, focal_corrected=corrected)
+            found = replace(found, network=model.told, domain=result.domain, focal_corrected=corrected)
             return dump({"zoedepth": "calibration", "calibration": found.to_json()})
 
         return _answer(*await compute(request, query, parts, finish))
@@ -309,8 +311,8 @@ def _calibrated(query: CalibratedQuery, parts: Mapping[str, bytes], model: Model
         return lambda result: result
     if query.calibration_scale is not None:  # a bare factor holds for whatever it is applied to
         return lambda result: result.calibrated(replace(calibration, focal_corrected=result.focal_correction != 1))
-    # The command line knows a model by what follows --model.
-    network = model.source if calibration.network == model.source else model.name
+    # The command line knows a model by what follows --model; older calibrations know it by what it is called here.
+    network = model.name if calibration.network == model.name else model.source
     return lambda result: result.calibrated(calibration, network=network)
 
 

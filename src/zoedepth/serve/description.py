@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from zoedepth.serve.answers import FORMATS
+from zoedepth.serve.answers import FORMATS, NOTES
 from zoedepth.serve.photos import MEDIA_TYPES
 from zoedepth.serve.problems import KINDS, MEDIA_TYPE, Problem
 from zoedepth.serve.schemas import LISTS, About, ProblemAnswer
@@ -63,7 +63,11 @@ def photo_answers() -> dict[int | str, dict[str, Any]]:
     """Return the description of the files that /v1/depth answers."""
     content: dict[str, Any] = {known.media_type: {"schema": _FILE} for known in FORMATS.values()}
     content["application/json"] = {"schema": {"$ref": "#/components/schemas/About"}}
-    return {200: {"description": "The depth as a file.", "content": content}}
+    notes = {
+        "description": "Sentences about the file, e.g. that a PNG has 256 levels per metre, or was clipped.",
+        "schema": {"type": "string"},
+    }
+    return {200: {"description": "The depth as a file.", "headers": {NOTES: notes}, "content": content}}
 
 
 def problem_answers() -> dict[int | str, dict[str, Any]]:

@@ -70,6 +70,8 @@ class Model:
         self.source = source
         path = Path(source)
         self.name = source if source in RELEASES else (path.name if path.is_dir() else path.stem) or source
+        self.told = path.name if path.is_file() else self.name
+        """The name in calibrations: a file's with its ending, without the folder, which is no business of a client."""
         network = load_for_prediction(source, device=settings.device, precision=settings.precision, streams=streams)
         if not network.config.domains:
             raise InputError(f"{source} gives relative depth, and the service answers in metres: choose another model")
@@ -253,7 +255,7 @@ class Engine:
             header = await loop.run_in_executor(
                 self._lookers, lambda: check_photo(content, max_pixels=limits.max_pixels)
             )
-            predictor.network_size(header.size)  # refuses those that are too narrow
+            _refuse_narrow(predictor, header.size)
         patience = max(0.0, min(limits.max_wait, until - time.perf_counter()))
         if not await self.gate.enter(seconds=patience, gone=gone):
             self._metrics.dropped.inc()
@@ -361,6 +363,28 @@ def _hand_out(batch: list[_Job], done: "asyncio.Future[dict[int, DepthMap]]") ->
             job.result.set_result(results[row])
         else:
             job.result.set_exception(error or ClientGone())
+
+
+def _refuse_narrow(predictor: Predictor, stored: tuple[int, int]) -> None:
+    """Refuse a photo that is too narrow for the model, before it waits: its notes may turn it, so either way is tried.
+
+    Args:
+        predictor: its predictor.
+        stored: (height, width) as its header says.
+
+    Raises:
+        InputError: it is too narrow, upright and on its side.
+    """
+    try:
+        predictor.network_size(stored)
+    except InputError:
+        try:
+            predictor.network_size((stored[1], stored[0]))
+        except InputError:
+            pass
+        else:
+            return
+        raise
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from zoedepth.images import read_image_with_orientation
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
 from zoedepth.shards.members import MAX_JSON, find_roles, unpack
 from zoedepth.stored import Memory, parse_json, read_mask, read_stored
+from zoedepth.weights.fingerprint import content
 
 WINDOW = 4
 """The number of shards whose samples a shuffled order mixes."""
@@ -179,6 +180,19 @@ class ShardDataset(Dataset[Sample]):
     def kinds(self) -> Sequence[Target]:
         """The kinds of target that occur."""
         return list(self.index.kinds)
+
+    def altered(self) -> dict[int, str]:
+        """Return the numbers of the samples in shards that are not as they were written → which one, and what to do.
+
+        Shards without a hash in the index, those of other programs, are not looked at.
+        """
+        found: dict[int, str] = {}
+        for shard, start in zip(self.index.shards, self._starts, strict=False):  # there is one start more
+            path = self._locate(shard)
+            if shard.sha256 is not None and path.is_file() and content(path) != shard.sha256:
+                problem = f"{path} is damaged, or was changed: it has not the hash that {INDEX_FILE} has. Copy it again"
+                found |= dict.fromkeys(range(int(start), int(start) + len(shard)), problem)
+        return found
 
     def _locate(self, shard: Shard) -> Path:
         path = self._folder / shard.name

@@ -1,5 +1,6 @@
 """The configuration of a training, as frozen dataclasses. The command line can override every field."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -113,6 +114,18 @@ class OptimConfig:
     clip: float = 0.1
     """Largest norm of all gradients together; larger gradients are scaled down to it."""
 
+    def __post_init__(self) -> None:
+        if not self.clip > 0:  # also where it is not a number
+            raise InputError(f"clip must be above 0, and infinite to cut nothing; it is {self.clip}")
+        for name in ("learning_rate", "initial_division", "final_division", "eps"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise InputError(f"{name} must be above 0 and finite; it is {getattr(self, name)}")
+        for name in ("encoder_factor", "position_factor", "decoder_factor", "weight_decay"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InputError(f"{name} must be 0 or more, and finite; it is {getattr(self, name)}")
+        if not 0 <= self.warmup <= 1:
+            raise InputError(f"warmup is a share of the steps, from 0 to 1; it is {self.warmup}")
+
 
 @dataclass(frozen=True)
 class TrainConfig:
@@ -176,6 +189,8 @@ class TrainConfig:
     GPUs float16, elsewhere float32."""
     holdout: int = 0
     """Number of pairs at the end of each data set that are validated on instead of trained on."""
+    holdouts: tuple[int, ...] = ()
+    """Numbers of held-out pairs, one for each of ``sources``, where they differ; empty: ``holdout`` for all."""
     validate_every: int = 500
     """Steps between validations."""
     checkpoint_every: int = 250
@@ -206,6 +221,17 @@ class TrainConfig:
         for name in ("pareto_every", "validate_every", "checkpoint_every", "log_every", "keep_checkpoints"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} must be at least 1; it is {getattr(self, name)}")
+        if min((self.holdout, self.n_workers, self.pictures, *self.holdouts)) < 0:
+            raise InputError(
+                f"holdout, n_workers and pictures must be 0 or more; they are {[self.holdout, *self.holdouts]}, "
+                f"{self.n_workers} and {self.pictures}"
+            )
+        if self.holdouts and len(self.holdouts) != len(self.sources):
+            raise InputError(
+                f"holdouts has {len(self.holdouts)} numbers for {len(self.sources)} sources: give one each"
+            )
+        if self.ema_decay is not None and not 0 <= self.ema_decay < 1:
+            raise InputError(f"ema_decay must be from 0 to below 1; it is {self.ema_decay}")
         if self.stage == "relative" and not isinstance(self.model, ModelConfig):
             raise InputError("a baseline has no relative depth to train: stage 1 is for ZoeDepth, use stage 'metric'")
         if self.loss_size == "truth" and (cut := [each.name for each in self.sources if each.crop == "fit"]):
@@ -226,6 +252,11 @@ class TrainConfig:
             )
         if self.mix_by == "batch" and self.stage == "relative" and len(self.sources) > 1:
             raise InputError("stage 1 needs all data sets in each batch: set mix_by to 'image'")
+
+    def held_out(self, name: str) -> int:
+        """Return the number of pairs of a source, by its name, that are held out."""
+        names = [source.name for source in self.sources]
+        return self.holdouts[names.index(name)] if self.holdouts else self.holdout
 
 
 @dataclass(frozen=True)

@@ -145,6 +145,7 @@ def plan(
         domain_weight=1.0 if len(config.domains) > 1 and (len(far) > 1 or wanted > known) else 0.0,
         ema_decay=0.99,
         holdout=min(held_out),
+        holdouts=tuple(held_out) if len(set(held_out)) > 1 else (),
         validate_every=max(1, steps // 5),
         checkpoint_every=100,
         seed=options.seed,
@@ -300,10 +301,10 @@ def steps_for(n: int, batch_size: int) -> int:
 def _optim(config: ModelConfig, learning_rate: float | None) -> OptimConfig:
     """Choose the rates: convolutional encoders take larger ones than the paper's transformers."""
     if config.encoder.family == "convolutional":
-        return OptimConfig(
-            learning_rate=learning_rate or 3e-4, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0
-        )
-    return OptimConfig(learning_rate=learning_rate or 1.61e-4, warmup=0.3, initial_division=20)
+        rate = 3e-4 if learning_rate is None else learning_rate
+        return OptimConfig(learning_rate=rate, encoder_factor=0.3, warmup=0.1, initial_division=20, clip=1.0)
+    rate = 1.61e-4 if learning_rate is None else learning_rate
+    return OptimConfig(learning_rate=rate, warmup=0.3, initial_division=20)
 
 
 def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
@@ -311,7 +312,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     (source,) = (source for source in plan.config.sources if source.name == name)
     dataset = open_source(source, plan.data[name])
     n = len(dataset)
-    held_out = Subset(dataset, range(n - plan.config.holdout, n))
+    held_out = Subset(dataset, range(n - plan.config.held_out(name), n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
     tested = ModelSource(load_network(model), camera="data" if knows else "none")

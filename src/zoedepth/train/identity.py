@@ -38,11 +38,17 @@ def data_state(dataset: Samples, source: str) -> str:
     return digest.hexdigest()[:16]
 
 
-def start_state(init: str | None) -> list[str | None]:
-    """Return [name of the starting weights, hash of their content]; None where there is no such file."""
+def start_state(init: str | None, *, start: str | None = None) -> list[str | None]:
+    """Return [name of the starting weights, hash of their content]; None where there is no such file.
+
+    Args:
+        init: the name, as it was given.
+        start: the place of the weights; None: the newest that the name stands for.
+    """
     if init is None:
         return [None, None]
-    path = find(init) if Path(init).is_dir() else Path(init)
+    place = init if start is None else start
+    path = find(place) if Path(place).is_dir() else Path(place)
     file = path / WEIGHTS if path.is_dir() else path
     return [init, _weights(file) if file.is_file() else None]
 

@@ -1,7 +1,7 @@
 """A run: one training of one stage, from its first step or from the last checkpoint in its folder."""
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,8 +11,10 @@ from torch.utils.data import Subset
 
 from zoedepth.build import build_model
 from zoedepth.data.sample import Sample, Samples
-from zoedepth.errors import TrainingError
+from zoedepth.errors import InputError, TrainingError
+from zoedepth.lock import only_one
 from zoedepth.model.interface import DepthModel
+from zoedepth.provenance import Provenance
 from zoedepth.train.batches import Batches, load_batches
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.identity import data_state, start_state
@@ -24,6 +26,7 @@ from zoedepth.train.start import start_from
 from zoedepth.train.state import TrainState, averaged, check_same, checkpoints
 from zoedepth.train.tolerant import Tolerant
 from zoedepth.weights.checkpoint import read_checkpoint
+from zoedepth.weights.load import find
 
 if TYPE_CHECKING:
     from lightning_fabric import Fabric
@@ -84,17 +87,20 @@ def set_up(
         InputError: data, starting weights or checkpoint do not suit the configuration, or belong to another run.
     """
     fabric.seed_everything(config.seed, workers=True, verbose=False)
+    data = {name: _tidy(path) for name, path in data.items()}
     finished = checkpoints(out)
     if not finished:
         check_log(out)
     model = build_model(config.model)
-    started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, init)
+    # A folder may get a newer checkpoint at any moment: the one that is loaded is the one that is written down.
+    start = str(find(init)) if init is not None and Path(init).is_dir() else init
+    started_from = f"{finished[-1].name} of {out}" if finished else start_from(model, start)
     ticker = Ticker("looking at the data", say if fabric.is_global_zero else lambda text: None)
     training, validation = load_sources(config, data, progress=ticker)
-    identity = identity_of({source.name: samples.samples for source, samples in training}, data, init)
+    identity = identity_of({source.name: samples.samples for source, samples in training}, data, init, start=start)
     if finished:
         check_same(finished[-1], config, identity)
-        model.provenance = read_checkpoint(finished[-1]).provenance
+        model.provenance = _provenance_of(finished[-1])
     else:
         seen = {f"{source.name} ({len(tolerant)} pairs)": licence_of(tolerant.samples) for source, tolerant in training}
         model.provenance = model.provenance.after_training(seen)
@@ -110,7 +116,11 @@ def set_up(
     batches = load_batches(config, fabric, training, first_step=state.step)
     n_images = sum(len(subset) for _, subset in training)
     sources = tuple(source for source, _ in training)
-    with Log(out, config, first_step=state.step, active=fabric.is_global_zero) as log, Interruption() as interruption:
+    with (
+        _alone(out, fabric, finished),
+        Log(out, config, first_step=state.step, active=fabric.is_global_zero) as log,
+        Interruption() as interruption,
+    ):
         if state.step < config.steps:
             log.say(f"{config.stage} from {started_from}: steps {state.step} to {config.steps}, {n_images} images")
         else:
@@ -136,13 +146,16 @@ def set_up(
             batches.close()
 
 
-def identity_of(opened: Mapping[str, Samples], data: Mapping[str, str | Path], init: str | None) -> dict[str, Any]:
+def identity_of(
+    opened: Mapping[str, Samples], data: Mapping[str, str | Path], init: str | None, *, start: str | None = None
+) -> dict[str, Any]:
     """Return the plain values that tell a run from another of the same configuration.
 
     Args:
         opened: name of a data set → its samples, or a ``Subset`` of them.
         data: name of a data set → where it is.
         init: starting weights.
+        start: the place of these weights, where it is known already.
     """
     whole: dict[str, Any] = {
         name: samples.dataset if isinstance(samples, Subset) else samples for name, samples in opened.items()
@@ -150,8 +163,50 @@ def identity_of(opened: Mapping[str, Samples], data: Mapping[str, str | Path], i
     return {
         "data": {name: str(path) for name, path in sorted(data.items())},
         "data_state": {name: data_state(whole[name], str(data[name])) for name in sorted(whole)},
-        "init": start_state(init),
+        "init": start_state(init, start=start),
     }
+
+
+def _tidy(source: str | Path) -> str:
+    """Return a path as it is without a slash at its end, which shells add; what is no path as it is."""
+    return str(Path(source)) if Path(source).exists() else str(source)
+
+
+def _provenance_of(checkpoint: Path) -> Provenance:
+    try:
+        return read_checkpoint(checkpoint).provenance
+    except InputError as error:
+        raise InputError(
+            f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
+        ) from error
+
+
+@contextmanager
+def _alone(out: Path, fabric: "Fabric", finished: list[Path]) -> Iterator[None]:
+    """Keep other commands from training in a folder until the block ends.
+
+    Args:
+        out: the folder; it is made.
+        fabric: the processes, all of which learn what the first one meets.
+        finished: the checkpoints that were found there before.
+
+    Raises:
+        InputError: another command trains there, or has done so since.
+    """
+    with ExitStack() as stack:
+        problem = ""
+        if fabric.is_global_zero:
+            try:
+                out.mkdir(parents=True, exist_ok=True)
+                advice = "wait for it, stop it, or choose another --out"
+                stack.enter_context(only_one(out / "log.jsonl", work=f"trains in {out}", advice=advice))
+                if checkpoints(out) != finished:
+                    problem = f"another command has trained in {out} in the meantime: type this one again"
+            except InputError as error:
+                problem = str(error)
+        if problem := fabric.broadcast(problem):
+            raise InputError(problem)
+        yield
 
 
 def licence_of(samples: Samples) -> str | None:

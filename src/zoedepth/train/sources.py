@@ -63,11 +63,10 @@ def load_sources(
             )
         if config.stage == "metric" and config.model.canonical_camera:
             _check_cameras(known[name], dataset)
-        n_training = len(dataset) - config.holdout
+        held_out = config.held_out(name)
+        n_training = len(dataset) - held_out
         if n_training < 1:
-            raise InputError(
-                f"{data[name]} has {len(dataset)} pairs: a holdout of {config.holdout} leaves none to train on"
-            )
+            raise InputError(f"{data[name]} has {len(dataset)} pairs: a holdout of {held_out} leaves none to train on")
         broken = {}
         if config.check != "off":
             broken = find_broken(dataset, full=config.check == "full", progress=progress)
@@ -82,7 +81,7 @@ def load_sources(
         held = {i: problem for i, problem in broken.items() if i < n_training}
         part = _part(dataset, range(n_training), known[name])
         training.append((known[name], Tolerant(part, name=name, broken=held, doubts=odd.named)))
-        if config.holdout:
+        if held_out:
             validation[name] = _part(dataset, range(n_training, len(dataset)), known[name])
     return training, validation
 

@@ -32,7 +32,9 @@ export function colorRange(depth, fixed) {
   let [low, high] = depth.quantiles(AUTOMATIC);
   low = fixed.near ?? low;
   high = fixed.far ?? high;
-  return [low, high - low < 1e-6 ? low + Math.max(0.01 * Math.abs(low), 1e-3) : high];
+  if (high - low >= 1e-6) return [low, high];
+  const span = (metres) => Math.max(0.01 * Math.abs(metres), 1e-3);
+  return fixed.far == null ? [low, low + span(low)] : [high - span(high), high];
 }
 
 /** About `count` round numbers between two, 1, 2 or 5 times a power of ten apart, as texts. */

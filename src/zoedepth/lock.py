@@ -1,4 +1,4 @@
-"""A lock on the manifest of a job, so that two commands do not do the same inputs."""
+"""A lock, so that two commands do not do the same work in one folder."""
 
 import errno
 import os
@@ -21,14 +21,14 @@ def this_process() -> str:
     return f"process {os.getpid()} on {socket.gethostname()}"
 
 
-def lock_file(manifest: Path) -> Path:
+def lock_file(file: Path) -> Path:
     """Return the file that is locked. It is not hidden: hidden ones are files that were left half written."""
-    return manifest.with_name(f"{manifest.name}.lock")
+    return file.with_name(f"{file.name}.lock")
 
 
 @contextmanager
-def only_one(manifest: Path) -> Iterator[None]:
-    """Hold the lock of a manifest until the block ends.
+def only_one(file: Path, *, work: str, advice: str) -> Iterator[None]:
+    """Hold the lock of a file until the block ends.
 
     The system holds the lock for the process, so that it is gone with the process, also after a kill or a crash. It
     works between machines where the file system hands locks on: NFS since version 4, Lustre and GPFS as they are
@@ -36,7 +36,9 @@ def only_one(manifest: Path) -> Iterator[None]:
     be deleted by hand, which the error says.
 
     Args:
-        manifest: the manifest. The lock is a file beside it, which stays (``lock_file``).
+        file: the file. The lock is another beside it, which stays (``lock_file``).
+        work: the work of another command that has the lock, for the message: "another command ...".
+        advice: the end of that message, for people who meet it.
 
     Raises:
         HeldError: another command has the lock.
@@ -44,10 +46,9 @@ def only_one(manifest: Path) -> Iterator[None]:
     """
     from filelock import FileLock, SoftFileLock, Timeout
 
-    path = lock_file(manifest)
+    path = lock_file(file)
     holder = _holder(path)  # before: filelock before version 4 empties the file when it asks for the lock
     lock = FileLock(path, timeout=0, fallback_to_soft=False)
-    advice = "wait for it, stop it, give each command a --shard of its own, or choose another --out"
     try:
         try:
             lock.acquire()
@@ -60,9 +61,9 @@ def only_one(manifest: Path) -> Iterator[None]:
             advice = f"{advice}. If it does not run any more, delete {path}"
             lock.acquire()
     except Timeout as error:
-        raise HeldError(f"another command works on {manifest} ({holder}): {advice}") from error
+        raise HeldError(f"another command {work} ({holder}): {advice}") from error
     except OSError as error:
-        raise InputError(f"cannot write to {manifest.parent} ({error.strerror or error})") from error
+        raise InputError(f"cannot write to {file.parent} ({error.strerror or error})") from error
     try:
         with suppress(OSError):  # for the message above; Windows lets nobody write to a file with a lock
             path.write_text(this_process(), encoding="utf-8")
