@@ -100,6 +100,24 @@ def test_error_says_where_to_write_what_nobody_says(tmp_path: Path, text: str, w
         PairDataset(tmp_path)
 
 
+def test_numbers_of_two_parts_are_names_and_no_times(tmp_path: Path) -> None:
+    for number in range(1, 13):
+        pair(tmp_path, "rgb", "depth", f"3.{number}")
+    (tmp_path / "depth" / "3.1.png").unlink()  # 3.10 is as near in time
+    say(tmp_path)
+    with pytest.raises(InputError, match=r"1 photos without depth.*3\.1\.jpg"):
+        PairDataset(tmp_path)
+
+
+def test_a_folder_whose_disk_is_not_there_is_no_smaller_data_set(tmp_path: Path) -> None:
+    pair(tmp_path, "rgb", "depth", "0")
+    say(tmp_path)
+    for half in ("rgb", "depth"):
+        (tmp_path / half / "day2").symlink_to(f"/mnt/not/there/{half}")
+    with pytest.raises(InputError, match=r"day2 is a link that leads nowhere: is its disk there"):
+        PairDataset(tmp_path)
+
+
 def test_halves_without_the_other_are_counted_and_named(tmp_path: Path) -> None:
     pair(tmp_path, "rgb", "depth", "0")
     photo(tmp_path / "rgb" / "1.jpg")
@@ -269,7 +287,7 @@ class TestTimes:
     @pytest.mark.parametrize(
         ("of_photo", "of_depth", "message"),
         [
-            pytest.param("100.5", "200.5", r"are times, and no two are within 0\.02 s", id="none-near-enough"),
+            pytest.param("100.500", "200.500", r"are times, and no two are within 0\.02 s", id="none-near-enough"),
             pytest.param("000001", "000002", "Names must agree", id="numbers-of-frames-are-no-times"),
         ],
     )

@@ -116,3 +116,45 @@ def test_many_such_maps_are_named_in_part() -> None:
 )
 def test_proposal_is_never_beyond_the_mark(value: float, proposed: float) -> None:
     assert Mark(value, 0.1, 1.0).max_depth == proposed
+
+
+@pytest.mark.parametrize(
+    "sky",
+    [
+        np.random.default_rng(0).uniform(999.5, 1000.5, 200),  # noise
+        np.repeat([1000.0, 1010.0, 1020.0, 1030.0], 50),  # another in each file
+        np.repeat([65.534, 65.535], 100),  # two marks
+    ],
+    ids=["noise", "several", "two"],
+)
+def test_what_lies_together_far_from_all_depth_is_one_mark(sky: np.ndarray) -> None:
+    depth = np.append(slope(1, 4), sky).astype(np.float32)
+    found = find_mark([glance("a", "indoor", depth)])
+    assert found is not None
+    assert found.certain
+    assert (found.value, found.greatest) == (np.float32(sky.min()), np.float32(sky.max()))
+    assert f"are {sky.min():.6g} to {sky.max():.6g} m away" in str(found)
+    assert doubts([glance("a", "indoor", depth)]).medians["indoor"] < 4
+
+
+@pytest.mark.parametrize(
+    "far",
+    [
+        np.random.default_rng(0).uniform(30, 300, 200),  # what a window shows
+        np.full(3, 1000.0) + np.arange(3),  # a few outliers
+        np.random.default_rng(0).uniform(14.0, 16.0, 200),  # a hall behind the door
+    ],
+    ids=["window", "outliers", "hall"],
+)
+def test_what_is_far_and_may_be_depth_is_no_mark(far: np.ndarray) -> None:
+    assert find_mark([glance("a", "indoor", np.append(slope(1, 4), far).astype(np.float32))]) is None
+
+
+@pytest.mark.parametrize("least", [1e-6, 0.001, 0.1])
+def test_the_floor_of_a_program_that_clips_is_named(least: float) -> None:
+    depth = np.append(slope(1, 4), np.full(300, least)).astype(np.float32)
+    (said,) = doubts([glance("a", "indoor", depth)]).unlikely
+    assert f"hold the smallest value, {least:.4g} m" in said
+    assert "store 0 there" in said
+    for fine in (np.append(slope(1, 4), np.float32(least)), np.append(slope(1, 4), np.full(300, np.float32(0.9)))):
+        assert doubts([glance("a", "indoor", fine)]).unlikely == []

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds
+from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds, seconds_of_name
 
 
 @pytest.mark.parametrize(
@@ -37,3 +37,10 @@ def test_far_ones_stay_alone() -> None:
     assert pair_by_time([1.0], [1.0 + TOLERANCE]) == [(0, 0)]
     assert pair_by_time([1.0], [1.001 + TOLERANCE]) == []
     assert pair_by_time([], [1.0]) == pair_by_time([1.0], []) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "time"), [("3.10", None), ("12.5", None), ("0.033", 0.033), ("1305031102.17", 1305031102.17)]
+)
+def test_numbers_of_two_parts_are_no_times_of_files(name: str, time: float | None) -> None:
+    assert seconds_of_name(name) == time

@@ -245,11 +245,12 @@ class TestChain:
         for tag in (LENS, ACROSS, DOWN, UNIT, ZOOM, WIDTH, HEIGHT, MAKE, MODEL, LENS_MODEL, CUSTOM):
             assert focal({**WIDE, tag: value}) == pytest.approx(WIDE_PX)
 
-    @pytest.mark.parametrize(("film", "degrees"), [(1, 173), (65535, 0.0303)])
-    def test_fields_of_view_that_no_lens_has(self, film: float, degrees: float) -> None:
-        assert reason({FILM_LENGTH: film}) == (
-            f"its 35-mm focal length is {film:g} mm, a field of view of {degrees} degrees, which is nonsense"
+    def test_fields_of_view_that_no_lens_has(self) -> None:
+        assert reason({FILM_LENGTH: 65535}) == (
+            "its 35-mm focal length is 65535 mm, a field of view of 0.0303 degrees, which is nonsense"
         )
+        short = {LENS: 1, ACROSS: 400 / 6, DOWN: 400 / 6, UNIT: 3}  # 6 cm of sensor
+        assert "which would be" in reason(short)
 
     def test_lens_and_film_that_no_sensor_goes_with(self) -> None:
         """Some programs of phones give 177 mm for 640 x 480 pixels of a sensor of 4032 x 3024."""
@@ -272,6 +273,13 @@ class TestDigitalZoom:
     def test_apple_counts_it_in(self) -> None:
         """28 mm without zoom, and 55 with one of 1.951, of the same lens."""
         assert focal({FILM_LENGTH: 55, LENS: 3.99, ZOOM: 1.951, MAKE: "Apple"}) == pytest.approx(WIDE_PX * 55 / 26)
+
+    def test_the_focal_length_itself_in_place_of_that_on_film(self) -> None:
+        nikon = {MAKE: "NIKON CORPORATION", MODEL: "NIKON D90"}
+        assert focal({FILM_LENGTH: 52, LENS: 35, **nikon}) == pytest.approx(52 / 26 * WIDE_PX)
+        assert focal({FILM_LENGTH: 35, LENS: 35, **nikon}) == pytest.approx(35 * 300 / 15.6)  # by the sensor
+        assert "shorter than any lens" in reason({FILM_LENGTH: 4, LENS: 4.74})
+        assert focal({FILM_LENGTH: 78, LENS: 35, **nikon}) == pytest.approx(78 / 26 * WIDE_PX)  # a part of the sensor
 
     def test_the_sensor_decides_where_it_is_known(self) -> None:
         nikon = {MAKE: "NIKON", MODEL: "NIKON 1 J1", LENS: 10, ZOOM: 2}  # 1 inch: 2.73 times smaller than film

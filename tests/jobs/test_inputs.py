@@ -173,7 +173,9 @@ class TestLists:
     @pytest.mark.parametrize(
         ("text", "column", "message"),
         [("a,b\n1,2\n", None, "has the columns a, b: say which"), ("", None, "is empty"),
-         ("image\n1\n", "imgae", "did you mean image")],
+         ("image\n1\n", "imgae", "did you mean image"),
+         ("x.jpg\ny.jpg\n", None, "begins with x.jpg, a photo, where the names of its columns belong"),
+         ("x.jpg,1\ny.jpg,2\n", "x.jpg", "give it a first line")],
     )  # fmt: skip
     def test_a_table_without_a_column_of_photos(
         self, tmp_path: Path, text: str, column: str | None, message: str

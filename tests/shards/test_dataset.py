@@ -17,6 +17,7 @@ from tests.servers import LocalServer
 from tests.shards.samples import ABOUT, DEPTH, MEMBERS, PHOTO, THREE, png, same, tar_of
 from torch.utils.data import DataLoader
 
+from zoedepth.data.integrity import find_broken
 from zoedepth.data.pairs import PairDataset
 from zoedepth.errors import InputError
 from zoedepth.shards.dataset import WINDOW, ShardDataset
@@ -179,6 +180,22 @@ class TestShardsOfOthers:
         }[damage])  # fmt: skip
         with pytest.raises(InputError, match=r"a\.tar"):
             ShardDataset(path)
+
+    def test_a_byte_that_has_changed_is_found_by_the_hash(self, shards: Path, pairs: PairDataset):
+        assert ShardDataset(shards).altered() == {}
+        path = sorted(shards.glob("*.tar"))[-1]
+        damaged = bytearray(path.read_bytes())
+        damaged[-1] ^= 1  # behind the last sample: all of them can be read as before
+        path.write_bytes(damaged)
+        dataset = ShardDataset(shards)
+        last = list(range(len(pairs) - len(dataset.index.shards[-1]), len(pairs)))
+        assert [dataset[i].name for i in last] == [pairs[i].name for i in last]
+        assert find_broken(dataset) == {}
+        found = find_broken(dataset, full=True)
+        assert sorted(found) == last
+        assert all(f"{path} is damaged, or was changed" in problem for problem in found.values())
+        with pytest.raises(InputError, match=r"is damaged, or was changed: remove it, and it is written again"):
+            write_shards(pairs, shards, name="pairs", size=THREE)
 
     def test_header_that_promises_gigabytes_is_refused_before_they_are_read(self, tmp_path: Path):
         header = tarfile.TarInfo("long")

@@ -46,7 +46,7 @@ def test_channels_count_together(tmp_path: Path) -> None:
         read_exr(write(tmp_path / "many.exr", dict.fromkeys("ZRGB", zeros)))
 
 
-@pytest.mark.parametrize("name", ["Y", "R", "A", "V", "FinalImageMovieRenderQueue_WorldDepth.R"])
+@pytest.mark.parametrize("name", ["Y", "R", "A", "V", "Depth", "camera.R"])
 def test_the_only_channel_is_depth_whatever_its_name(tmp_path: Path, name: str) -> None:
     np.testing.assert_array_equal(read_exr(write(tmp_path / "a.exr", {name: DEPTH})), DEPTH)
 
@@ -61,6 +61,7 @@ def test_the_only_channel_is_depth_whatever_its_name(tmp_path: Path, name: str) 
         ("ViewLayer.Depth.Z", ("ViewLayer.Mist.Z", "ViewLayer.UV.U", "ViewLayer.UV.V")),
         ("beauty.depth", ("beauty.R", "beauty.G", "beauty.B")),
         ("left.Z", ("left.R", "left.G", "left.B", "ZBack")),
+        ("ViewLayer.Depth.Z", ("ViewLayer.Denoising Depth.Z", "ViewLayer.Combined.R")),
     ],
 )
 def test_depth_among_other_layers(tmp_path: Path, name: str, beside: tuple[str, ...]) -> None:
@@ -91,6 +92,12 @@ def test_grey_in_three_channels_is_one_map(tmp_path: Path) -> None:
         ("ViewLayer.Mist.Z", "ViewLayer.Combined.R"),
         ("ViewLayer.Mist.Z",),
         ("ViewLayer.IndexOB.X",),
+        ("disparity.R",),
+        ("InverseDepth.Z",),
+        ("V.Normal.Z",),
+        ("AO.V",),
+        ("Albedo.V",),
+        ("confidence.V",),
         ("ViewLayer.roughness.V", "ViewLayer.Combined.R", "ViewLayer.Combined.A"),
         ("left.Depth.Z", "right.Depth.Z"),
         ("FinalImage.R", "FinalImage.A", "FinalImageMovieRenderQueue_WorldDepth.R"),
@@ -108,6 +115,22 @@ def test_unreals_depth_beside_nothing_else_may_be_centimetres(tmp_path: Path) ->
     names = [f"FinalImageMovieRenderQueue_WorldDepth.{part}" for part in "RGB"]
     with pytest.raises(InputError, match="cannot be told"):
         read_exr(write(tmp_path / "a.exr", dict.fromkeys(names, DEPTH)))
+
+
+@pytest.mark.parametrize("name", ["FinalImageMovieRenderQueue_WorldDepth.R", "SceneDepthWorldUnits.R"])
+def test_unreals_depth_is_not_taken_for_metres(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=r"Unreal's depth, in centimetres: divide it by 100"):
+        read_exr(write(tmp_path / "a.exr", {name: DEPTH}))
+
+
+def test_whole_numbers_stay_whole_so_that_their_unit_is_asked_for(tmp_path: Path) -> None:
+    levels = (100 * DEPTH).astype(np.uint32)
+    found = read_exr(write(tmp_path / "a.exr", {"Z": levels}))
+    np.testing.assert_array_equal(found, levels)
+    assert found.dtype == np.uint32
+    with pytest.raises(InputError, match="does not say its scale"):
+        read_depth(tmp_path / "a.exr")
+    np.testing.assert_allclose(read_depth(tmp_path / "a.exr", scale=100), levels / 100, rtol=1e-6)
 
 
 def test_many_channels_are_not_all_listed(tmp_path: Path) -> None:

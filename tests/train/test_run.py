@@ -3,8 +3,10 @@
 import os
 import signal
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -14,7 +16,9 @@ from tests.train.runs import assert_same_checkpoint, weights_of
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.train import metric
+from zoedepth.train import run as module
 from zoedepth.train.config import TrainConfig
+from zoedepth.train.identity import start_state
 from zoedepth.train.metric import train_metric
 from zoedepth.train.processes import launch_fabric
 from zoedepth.train.relative import RelativeModel
@@ -67,6 +71,71 @@ def test_a_run_on_other_data_is_refused(start_run: StartRun, data: Data) -> None
     first.state.save(first.out, first.config, first.identity)
     with pytest.raises(InputError, match=r"\['data', 'data_state'\] differ"):
         start_run(data={"indoor": data["outdoor"]})
+
+
+def test_one_command_at_a_time_trains_in_a_folder(
+    make_config: Callable[..., TrainConfig], data: Data, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+
+    def begin(seed: int) -> AbstractContextManager[Run]:
+        config = make_config(seed=seed)
+        fabric = launch_fabric(config, devices=1, n_nodes=1)
+        return set_up(config, fabric, part=lambda model: model, data=data, out=out, init=None)
+
+    with begin(1), pytest.raises(InputError, match=r"another command trains in .*run .*choose another --out"), begin(2):
+        pass
+    with begin(1):  # it has ended
+        pass
+    looked = module.load_sources
+
+    def meanwhile(*given: Any, **options: Any) -> Any:
+        monkeypatch.undo()
+        with begin(1) as other:
+            other.state.save(out, other.config, other.identity)
+        return looked(*given, **options)
+
+    monkeypatch.setattr(module, "load_sources", meanwhile)
+    with pytest.raises(InputError, match=r"has trained in .* in the meantime: type this one again"), begin(2):
+        pass
+
+
+def test_the_slash_that_a_shell_adds_is_no_other_data(start_run: StartRun, tmp_path: Path) -> None:
+    folder = write_pairs(tmp_path / "indoor", n=2).parent
+    first = start_run(data={"indoor": str(folder)})
+    first.state.save(first.out, first.config, first.identity)
+    start_run(data={"indoor": f"{folder}/"})
+
+
+def test_weights_that_come_while_a_run_begins_are_not_those_it_began_with(
+    start_run: StartRun, tiny_model: ZoeDepth, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "before"
+
+    def write(step: int) -> None:
+        (folder / f"step_{step:06d}").mkdir(parents=True)
+        save_model(tiny_model, folder / f"step_{step:06d}" / "model.safetensors")
+
+    write(1)
+    known = start_state(str(folder))
+    looked = module.load_sources
+
+    def meanwhile(*given: Any, **options: Any) -> Any:
+        with torch.no_grad():
+            next(tiny_model.parameters()).add_(1)
+        write(2)
+        return looked(*given, **options)
+
+    monkeypatch.setattr(module, "load_sources", meanwhile)
+    assert start_run(init=str(folder)).identity["init"] == known != start_state(str(folder))
+
+
+def test_a_checkpoint_without_weights_is_damaged(start_run: StartRun) -> None:
+    first = start_run()
+    first.state.save(first.out, first.config, first.identity)
+    (checkpoints(first.out)[-1] / "model.safetensors").unlink()
+    with pytest.raises(InputError, match=r"cannot resume from .*step_000000, it is damaged.*Remove it"):
+        start_run()
 
 
 def test_a_run_whose_data_or_starting_weights_have_changed_is_refused(

@@ -5,7 +5,7 @@ from pathlib import Path, PurePath
 from zoedepth.data.facts import DEFAULTS_FILE, Facts
 from zoedepth.data.lists import Pair, check_unit
 from zoedepth.data.names import composed
-from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds
+from zoedepth.data.stamps import TOLERANCE, pair_by_time, seconds_of_name
 from zoedepth.errors import InputError
 from zoedepth.folders import list_files
 from zoedepth.images import IMAGE_SUFFIXES
@@ -42,6 +42,8 @@ class _Half:
         for path in sorted(listing.files):
             stem = composed(path.relative_to(folder).with_suffix("").as_posix())
             if path.suffix.lower() not in suffixes:
+                if path.is_symlink() and not path.exists():  # likely a folder of photos
+                    raise InputError(f"{path} is a link that leads nowhere: is its disk there? Else remove the link")
                 self.others[stem] = path
                 continue
             if (twin := self.files.get(stem)) is not None:
@@ -162,7 +164,7 @@ def _drop_endings(photos: _Half, depths: _Half) -> None:
 
 
 def _are_times(half: _Half) -> bool:
-    return bool(half.files) and all(seconds(PurePath(stem).name) is not None for stem in half.files)
+    return bool(half.files) and all(seconds_of_name(PurePath(stem).name) is not None for stem in half.files)
 
 
 def _match_times(photos: _Half, depths: _Half, *, allow_missing: bool) -> None:
@@ -184,7 +186,7 @@ def _match_times(photos: _Half, depths: _Half, *, allow_missing: bool) -> None:
 
 def _times(half: _Half, folder: PurePath) -> tuple[list[str], list[float]]:
     stems = [stem for stem in half.files if PurePath(stem).parent == folder]
-    return stems, [seconds(PurePath(stem).name) or 0.0 for stem in stems]
+    return stems, [seconds_of_name(PurePath(stem).name) or 0.0 for stem in stems]
 
 
 def _check_matched(photos: _Half, depths: _Half, *, allow_missing: bool) -> None:

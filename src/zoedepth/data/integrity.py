@@ -13,7 +13,7 @@ import numpy as np
 
 from zoedepth.data.fit import check_fit
 from zoedepth.data.pairs import PairDataset
-from zoedepth.data.sample import Packed, Samples
+from zoedepth.data.sample import Hashed, Samples
 from zoedepth.errors import InputError
 from zoedepth.images import FORMATS
 from zoedepth.pictures import open_picture, read_exif
@@ -57,7 +57,7 @@ def find_broken(
         return None
 
     # What is read may look right where bytes have changed.
-    broken = dataset.altered() if full and isinstance(dataset, Packed) else {}
+    broken = dataset.altered() if full and isinstance(dataset, Hashed) else {}
     indices = [i for i in range(len(dataset)) if i not in broken and (pairs is None or pairs[i].target is not None)]
     with ThreadPoolExecutor(_THREADS) as pool:
         for start in range(0, len(indices), _CHUNK):

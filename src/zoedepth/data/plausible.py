@@ -31,6 +31,7 @@ UNIT = (
 
 _BAND = 0.1  # part of the range below the largest value, in which it is compared with others
 _TIMES = 5  # as many pixels as other values have there: then it is not merely the end of a slope
+_GAP, _GROUP = 10.0, 1.5  # between two neighbouring depths, and from the nearest to the farthest beyond it
 _FAR, _HALL = 5.0, 20.0  # times as far as nearly all others, and farther than a hall is long: certainly no depth
 _MOST_NAMED = 5
 _KEPT = 2000  # values of a map
@@ -62,13 +63,19 @@ def glance(name: str, domain: str, depth: Float[np.ndarray, " known"]) -> Glance
 
 @dataclass(frozen=True)
 class Mark:
-    """One value at the top of the range that many pixels hold: it stands for "unknown", or is where a sensor ends."""
+    """One value at the top of the range that many pixels hold: it stands for "unknown", or is where a sensor ends.
+
+    Several values that lie together, far from all others, are one mark: a sky may be noisy, or another in each file.
+    """
 
     value: float
+    """The value, or the least of several."""
     share: float
     """Share of the known pixels that hold it."""
     others: float
     """95 % of the other values are nearer."""
+    greatest: float = 0.0
+    """The greatest of several; 0: there is one."""
 
     @property
     def certain(self) -> bool:
@@ -88,8 +95,13 @@ class Mark:
             if self.certain
             else "does it stand for unknown? Then write"
         )
+        held = (
+            f"are {self.value:.6g} to {self.greatest:.6g} m away"
+            if self.greatest
+            else f"hold the largest value, {self.value:.6g} m"
+        )
         return (
-            f"{self.share:.1%} of the known pixels hold the largest value, {self.value:.6g} m, and nearly all others "
+            f"{self.share:.1%} of the known pixels {held}, and nearly all others "
             f'are nearer than {self.others:.4g} m: {what} {{"max_depth": {self.max_depth:g}}} into dataset.json. If it '
             "is depth after all, write a larger max_depth"
         )
@@ -106,6 +118,8 @@ class Doubts:
     """Domain → median of its known depth, without a certain mark."""
     unlike: dict[str, str] = field(default_factory=dict)
     """Name of a map whose unit is likely another one → what is said of it."""
+    floor: str = ""
+    """A sentence about one value at the bottom of the range that likely stands for unknown; empty: there is none."""
 
     @property
     def impossible(self) -> list[str]:
@@ -125,7 +139,7 @@ class Doubts:
     @property
     def unlikely(self) -> list[str]:
         """Sentences about medians and maps that are hardly right."""
-        found = []
+        found = [self.floor] if self.floor else []
         for domain, median in self.medians.items():
             low, high = USUAL.get(domain, (POSSIBLE[0], self.most))
             if POSSIBLE[0] <= median <= self.most and not low <= median <= high:
@@ -162,7 +176,7 @@ def doubts(glances: Sequence[Glance], *, max_depth: float | None = None) -> Doub
                 for name, median in own.items()
                 if not typical / UNLIKE < median < typical * UNLIKE
             }
-    return Doubts(mark, max(POSSIBLE[1], max_depth or 0.0), medians, unlike)
+    return Doubts(mark, max(POSSIBLE[1], max_depth or 0.0), medians, unlike, find_floor(glances))
 
 
 def find_mark(glances: Sequence[Glance]) -> Mark | None:
@@ -176,8 +190,40 @@ def find_mark(glances: Sequence[Glance]) -> Mark | None:
     near = others[others >= (1 - _BAND) * top]
     usual = len(near) / len(values) / max(1, len(np.unique(near)))
     if share <= MANY or not len(others) or share < _TIMES * usual:
-        return None
+        return _find_group(np.sort(values))
     return Mark(top, share, float(np.percentile(others, 95)))
+
+
+def _find_group(values: Float[np.ndarray, " sorted"]) -> Mark | None:
+    """Find values at the top of the range that lie together, and so far from all others that they cannot be depth."""
+    gaps = np.flatnonzero((values[1:] > _HALL) & (values[1:] >= _GAP * values[:-1]))
+    if not len(gaps):
+        return None
+    first = int(gaps[-1]) + 1
+    share = (len(values) - first) / len(values)
+    if share <= MANY or values[-1] > _GROUP * values[first]:
+        return None
+    return Mark(float(values[first]), share, float(np.percentile(values[:first], 95)), float(values[-1]))
+
+
+def find_floor(glances: Sequence[Glance]) -> str:
+    """Return what is to be said of one value at the bottom of the range that many pixels hold; empty for nothing.
+
+    Programs that clip depth leave holes there, such as 0.001 m.
+    """
+    if not glances:
+        return ""
+    values = np.concatenate([each.values for each in glances])
+    if not len(values):
+        return ""
+    least = values.min()
+    share, others = float((values == least).mean()), values[values > least]
+    if share <= MANY or not len(others) or least * _FAR > np.percentile(others, 5):
+        return ""
+    return (
+        f"{share:.1%} of the known pixels hold the smallest value, {least:.4g} m, and nearly all others are farther "
+        f"than {np.percentile(others, 5):.4g} m: does it stand for unknown? Then store 0 there"
+    )
 
 
 def _named(domain: str) -> str:

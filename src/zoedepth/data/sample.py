@@ -73,7 +73,7 @@ class Ordered(Samples, Protocol):
 
 
 @runtime_checkable
-class Packed(Samples, Protocol):
+class Hashed(Samples, Protocol):
     """A data set in few large files, whose hashes were written down with them."""
 
     def altered(self) -> dict[int, str]:

@@ -9,6 +9,7 @@ TOLERANCE = 0.02
 """Seconds between a photo and its depth, at most, as in the tools of TUM RGB-D: less than a frame at 30 a second."""
 
 _SECONDS = re.compile(r"\d{1,12}\.\d+")
+_NUMBERED = re.compile(r"\d{1,8}\.\d{1,2}")
 _UNITS = {13: 1e-3, 16: 1e-6, 19: 1e-9}
 """Digits of a whole number → its unit in seconds, from 2001 to 2286."""
 
@@ -22,6 +23,11 @@ def seconds(text: str) -> float | None:
         return float(text)
     unit = _UNITS.get(len(text)) if text.isascii() and text.isdigit() else None
     return None if unit is None else int(text) * unit
+
+
+def seconds_of_name(name: str) -> float | None:
+    """Return the time that the name of a file says, see ``seconds``; None for one of two numbers, as 3.10 after 3.9."""
+    return None if _NUMBERED.fullmatch(name) else seconds(name)
 
 
 def pair_by_time(photos: Sequence[float], depths: Sequence[float]) -> list[tuple[int, int]]:

@@ -22,6 +22,8 @@ _MAX_SHAPE = 2.5  # longer by shorter side: what goes beyond was stitched, or is
 _MAX_OBLONG = 1.1  # where the two resolutions of a sensor differ more, one of them is wrong: pixels are square
 _MAX_OFF_MIDDLE = 0.1  # of a side: lenses look through the middle, where a calibration is of a photo of this size
 _MAX_OFF_FILM = 1.25  # makers round the 35-mm equivalent, and some crop after they have measured
+_MAX_OFF_SENSOR = 1.25  # the same, for a sensor whose size is known
+_MIN_FILM = 9.0  # mm: rectilinear lenses end at 10
 _MIN_ZOOM = 1.02  # digital zoom below changes nothing that matters
 _SAME_FACTOR = 1.01  # two ways to tell how much a photo was resized agree
 _BLOCK = 16  # pixels by which JPEGs are cut without loss: a side shorter by less counts as whole
@@ -153,6 +155,13 @@ def _by_film(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, str]:
         else:
             film *= zoom
             known_by += f", times its digital zoom of {zoom:g}"
+    if film < _MIN_FILM:
+        raise _Unknown(f"{known_by}, shorter than any lens that keeps lines straight")
+    sensor = sensor_size(_text(notes, _TAGS.Make), _text(notes, _TAGS.Model))
+    # Of a part of the sensor it is longer, and never shorter: some programs give the focal length itself.
+    largest = math.inf if sensor is None else _MAX_OFF_SENSOR * math.hypot(*sensor)
+    if lens is not None and lens * zoom / film * _FILM_DIAGONAL > largest:
+        raise _Unknown(f"{known_by}, too short for a lens of {lens:g} mm and the sensor of this model")
     # Some programs give the equivalent of a small picture of a large sensor, too long by as much as it is smaller.
     if lens is not None and not _MIN_SENSOR <= lens * zoom / film * _FILM_DIAGONAL <= _MAX_SENSOR:
         raise _Unknown(f"{known_by}, which no sensor makes of a lens of {lens:g} mm")

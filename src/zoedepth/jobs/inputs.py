@@ -343,6 +343,11 @@ def _usual_column(names: Iterable[str]) -> str | None:
 
 def _column(name: str, columns: Iterable[str], wanted: str | None) -> str:
     columns = list(columns)
+    if photo := next((each for each in columns if PurePosixPath(each.strip()).suffix.lower() in IMAGE_SUFFIXES), None):
+        raise InputError(
+            f"{name} begins with {photo}, a photo, where the names of its columns belong: give it a first line such as "
+            "image, or save it as a .txt with one photo a line"
+        )
     if wanted is not None:
         if wanted not in columns:
             raise no_such(f"column in {name}", wanted, columns)

@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32
 
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.images import MAX_PIXELS, check_expansion
@@ -12,16 +11,22 @@ from zoedepth.stored.files import Map, cause, check_exists, check_map
 
 # How channels of depth are called, without regard to case; V is Blender's name for one value. Beside them in one layer:
 # channels that make a vector of Z, a texture's place or a colour of V. Parts of names of layers that are not depth.
-_DEPTH, _SIBLINGS, _OTHER_LAYERS = {"z", "v", "depth"}, {"x", "y", "u", "s"}, ("mist", "index", "count", "mask")
+_DEPTH, _SIBLINGS = {"z", "v", "depth"}, {"x", "y", "u", "s"}
+_OTHERS = (
+    "mist", "index", "count", "mask", "denoising", "disp", "inverse", "invdepth", "normal", "albedo", "confidence",
+    "occlusion",
+)  # fmt: skip
+_OF_UNREAL = ("worlddepth", "scenedepth")
 _MOST_NAMED = 12
 
 
-def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
+def read_exr(path: Path) -> Map:
     """Read the depth of an OpenEXR file: its only channel, or the one that is named so.
 
     Of several channels in all parts it is the one whose last part is Z, V or Depth, as Blender's ``ViewLayer.Depth.Z``.
     Normals, mist and the like, whose last part may be Z, are none, also where there is nothing else in the file; V is
-    none in a layer that is not called depth. R, G and B that are equal are one channel.
+    none in a layer that is not called depth. R, G and B that are equal are one channel. Float32, or the whole numbers
+    of a channel of them, whose unit somebody else must say.
 
     Raises:
         InputError: the file is missing, damaged or too large; it has several channels, and which one is depth cannot be
@@ -44,7 +49,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "height width"]:
         check_map(values.shape, values.dtype)
     except Exception as error:  # the library raises RuntimeError and others for damage of any kind
         raise InputError(f"{path} is not a readable OpenEXR file of depth ({cause(path, error)})") from error
-    return values.astype(np.float32, copy=False)
+    return values if values.dtype.kind == "u" else values.astype(np.float32, copy=False)
 
 
 def _name(part: str, channel: str) -> str:
@@ -54,11 +59,11 @@ def _name(part: str, channel: str) -> str:
 def _choose(channels: dict[str, Map]) -> str:
     """Return the name of the channel of depth."""
     if len(channels) == 1 and not _is_another(only := next(iter(channels))):
-        return only
+        return _in_metres(only)
     found = [name for name in channels if _may_be_depth(name, channels)]
     named = [name for name in found if "depth" in name.lower()]
     if len(named or found) == 1:
-        return (named or found)[0]
+        return _in_metres((named or found)[0])
     opaque = [name for name in channels if name.lower() not in ("a", "alpha")]
     bare = all("." not in name for name in opaque)
     if not found and bare and all(np.array_equal(channels[opaque[0]], channels[name]) for name in opaque[1:]):
@@ -79,9 +84,16 @@ def _may_be_depth(name: str, channels: dict[str, Map]) -> bool:
 
 
 def _is_another(name: str) -> bool:
-    """Return True where the name of a channel's layer says that it is something else than depth."""
-    layer = name.lower().rpartition(".")[0]
-    return any(word in layer for word in _OTHER_LAYERS)
+    """Return True where the name of a channel, with its layer, says that it is something else than depth in metres."""
+    parts = name.lower().split(".")
+    return "ao" in parts or any(word in name.lower() for word in _OTHERS)
+
+
+def _in_metres(name: str) -> str:
+    """Return the name of a channel, unless it is one that a program is known to write in another unit."""
+    if any(word in name.lower() for word in _OF_UNREAL):
+        raise ValueError(f"its channel {name} is Unreal's depth, in centimetres: divide it by 100, and save it as Z")
+    return name
 
 
 def _check_window(header: dict[str, Any]) -> None:

@@ -112,7 +112,7 @@ def survey(
     if mark is not None:
         samples = [replace(sample, mask=sample.mask & (sample.target < mark.value)) for sample in samples]
     known = [
-        (each.n - (each.n_greatest if mark is not None and each.greatest == mark.value else 0)) / n
+        each.n * (1.0 if mark is None or not each.n else float((each.values < mark.value).mean())) / n
         for each, n in zip(glances, n_pixels, strict=True)
     ]
     depths: dict[str, np.ndarray] = {}
