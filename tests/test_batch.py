@@ -417,6 +417,7 @@ class TestPredictPhoto:
             "unit": "metre",
             "projection": "perspective",
             "depth_along": "optical axis",
+            "depth_range": [0.0, None],
             "png_scale": 1000,
             "median_confidence": 0.8,
             "files": {"depth": "a_depth.png", "preview": "a_preview.jpg"},
@@ -470,7 +471,8 @@ class TestPredictPhoto:
         photo = Photo(write_sphere(tmp_path / "a.jpg", said=True), tmp_path / "out" / "a")
         with pytest.raises(InputError, match="it is a panorama, which looks everywhere and has no camera"):
             predict_photo(photo, Predictor(tiny_model, camera=Lens(fov_x=60)), REQUEST)
-        assert predict_photo(photo, Predictor(tiny_model, camera="none"), REQUEST).failure is None
+        elsewhere = Photo(photo.path, tmp_path / "other" / "a")
+        assert predict_photo(elsewhere, Predictor(tiny_model, camera="none"), REQUEST).failure is None
         with pytest.raises(InputError, match="leave the calibration out"):
             predict_photo(photo, Predictor(tiny_model), Request("tiny", calibration=CALIBRATION))
         photo = Photo(write_photo(tmp_path / "b.jpg"), tmp_path / "out" / "b")

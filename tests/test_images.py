@@ -263,6 +263,17 @@ class TestWarnings:
         assert len(said) == bool(words)
         assert re.search(words, " ".join(said))
 
+    def test_few_bits_in_16_with_some_saturated_pixels(self, tmp_path: Path) -> None:
+        levels = np.linspace(0, 4095, 300 * 400).reshape(300, 400).astype(np.uint16)
+        levels[7] = PNG_MAX
+        path = saved(Image.fromarray(levels), tmp_path / "thermal.png")
+        with pytest.warns(InputWarning, match=r"thermal\.png is too dark.*nearly all of its values are at most 40\d\d"):
+            read_image(path)
+        levels[::2] = PNG_MAX  # a photo of light and shadow
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            to_image(levels)
+
     @pytest.mark.parametrize(("bits", "factor"), [(8, 257), (10, 64), (12, 16), (14, 4)])
     def test_few_bits_in_16(self, photo: np.ndarray, tmp_path: Path, bits: int, factor: int) -> None:
         levels = np.round(photo[..., 0] / photo[..., 0].max() * (2**bits - 1)).astype(np.uint16)

@@ -12,8 +12,11 @@ from zoedepth.errors import InputError
 
 SERVICE_FOLDERS = (
     "@eadir", "#recycle", "#snapshot", "@tmp", "@sharebin",  # Synology
+    "@synoresource", "@synodrive", "@mts", "@appstore", "@docker",
     "@recycle", "@recently-snapshot", "@__thumb", "@transcode", "@upload_cache",  # QNAP
-    "__macosx", "$recycle.bin", "recycler", "system volume information", "lost+found",
+    "trashbox", "~snapshot",  # Buffalo, NetApp
+    "__macosx", "network trash folder", "temporary items", "thevolumesettingsfolder",  # Apple
+    "$recycle.bin", "recycler", "system volume information", "found.[0-9]*", "lost+found", "lost.dir",
     "*.lrdata",  # Lightroom's previews
     "thmbnl",  # thumbnails of films on the cards of cameras
     "ipod photo cache",

@@ -459,11 +459,22 @@ def _to_uint8(array: np.ndarray, name: str) -> np.ndarray:
     return np.rint(array.astype(np.float32).clip(0, 1) * 255).astype(np.uint8)
 
 
+_LOOK = 256  # rows and columns of a picture that are looked at
+
+
 def _warn_if_dim(array: np.ndarray, name: str) -> bool:
     """Say so where 16 bits hold a picture of fewer bits, as those of thermal and industrial cameras do."""
-    if array.dtype.kind != "u" or array.dtype.itemsize != 2 or not 0 < (largest := int(array.max())) < _DIM_16_BITS:
+    if array.dtype.kind != "u" or array.dtype.itemsize != 2 or not (largest := int(array.max())):
         return False
-    _warn_of_dim(name, f"its largest value is {largest}", PNG_MAX // largest)
+    if largest < _DIM_16_BITS:
+        _warn_of_dim(name, f"its largest value is {largest}", PNG_MAX // largest)
+        return True
+    # A few pixels of a sensor may be saturated, or dead.
+    some = array[:: 1 + array.shape[0] // _LOOK, :: 1 + array.shape[1] // _LOOK]
+    most = int(np.percentile(some, 99))
+    if not 0 < most < _DIM_16_BITS // 4:
+        return False
+    _warn_of_dim(name, f"nearly all of its values are at most {most}", PNG_MAX // most)
     return True
 
 

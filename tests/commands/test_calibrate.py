@@ -278,6 +278,7 @@ def test_json_is_the_calibration_alone(
         (["--at", "320,240=nan"], "above 0"),
         (["--at", "320,240=2", "--depth", "photo.jpg"], "not both"),
         (["--at", "320,240=2", "--depth-scale", "1000"], "--depth-scale is for --depth"),
+        (["--depth", "a.png", "--depth-scale", "0.001"], "1000 for millimetres, also where a sensor says 0.001"),
         (["--depth", "gone.png"], "gone.png"),
         (["--at", "320,240=2", "--out", "."], "is a folder"),
         (["--at", "320,240=2", "--out", "photo.jpg"], "is no calibration and would be replaced"),

@@ -347,7 +347,6 @@ class TestCamera:
             (["--relative", "--fov-x", "70"], "no metres"),
             (["--relative", "--focal-correction", "yes"], "no metres"),
             (["--panorama", "--fov-x", "70"], "a panorama looks everywhere and has no camera"),
-            (["--panorama", "--camera", "none"], "a panorama looks everywhere and has no camera"),
             (["--panorama", "--relative"], "relative depth has none"),
             (["--focal-correction", "yes"], "does not say with what focal length"),
             (["--calibration", "nowhere.json"], "nowhere.json"),
@@ -629,6 +628,12 @@ class TestJobs:
         assert "No photos in shard 99999/100000" in capsys.readouterr().err
         assert predict(folder, "--shard", "2/2", out=tmp_path / "out") == 2
         assert "--shard must be i/n" in capsys.readouterr().err
+
+    def test_no_folder_and_no_preview(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["predict", str(photo), "--out", ""]) == 2
+        assert "--out is empty: give a folder" in capsys.readouterr().err
+        assert predict(photo, "--save", "preview", "--no-preview", out=photo.parent / "out") == 2
+        assert "give one of them" in capsys.readouterr().err
 
     def test_shards_take_pixels_for_those_of_one_photo(self, tmp_path: Path) -> None:
         for name, size in (("a", (30, 40)), ("b", (60, 80)), ("c", (15, 20))):

@@ -114,6 +114,15 @@ def numbers(camera: Camera) -> tuple[float, float, float, float]:
     return camera.fx, camera.fy, camera.cx, camera.cy
 
 
+SLAM = f'%YAML:1.0\nCamera.type: "PinHole"\nCamera1.fx: {FX}\nCamera1.fy: {FY}\nCamera1.cx: {CX}\nCamera1.cy: {CY}\n'
+
+
+def test_orb_slams_keys_and_matrices_by_columns(tmp_path: Path) -> None:
+    assert numbers(read_camera(write(tmp_path / "slam.yaml", SLAM), SIZE)) == (FX, FY, CX, CY)
+    said = error(tmp_path / "k.npy", MATRIX.T)
+    assert "It is written by columns: transpose it" in said
+
+
 ROI = ROS_TOPIC.replace(
     "binning_x: 0\n",
     "binning_x: 0\nroi:\n  x_offset: 100\n  y_offset: 60\n  height: 240\n  width: 320\n  do_rectify: False\n",

@@ -317,7 +317,7 @@ def test_a_photo_may_be_too_narrow_only_until_its_notes_turn_it(
     async def game(engine: Engine) -> None:
         result, _ = await engine.compute(lying, Wanted(), whole, gone=gone())
         assert result.size == (48, 64)
-        with pytest.raises(Problem, match="too long and narrow"):
+        with pytest.raises(Problem, match="Too long and narrow"):
             await engine.compute(photo(48, 64), Wanted(), whole, gone=gone())
 
     monkeypatch.setattr(Predictor, "network_size", network_size)

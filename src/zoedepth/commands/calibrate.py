@@ -110,6 +110,11 @@ def calibrate(
         raise InputError("give readings (--at, --between) or a sparse depth map (--depth), not both")
     if depth is None and depth_scale is not None:
         raise InputError("--depth-scale is for --depth: leave it out")
+    if depth_scale is not None and not depth_scale >= 1:
+        raise InputError(
+            f"--depth-scale is the stored value of one metre, got {depth_scale:g}: 1000 for millimetres, also where a "
+            "sensor says 0.001 metres a unit"
+        )
     if add and out is None:
         raise InputError("--add adds to the readings that a file has: name it by --out")
     sparse = None if depth is None else _read_sparse(depth, photo, scale=depth_scale)

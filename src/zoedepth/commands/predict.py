@@ -186,6 +186,10 @@ def predict(
     warnings.simplefilter("always", InputWarning, append=True)
     # A wrong option is the caller's one mistake, not that of a thousand photos: found now.
     stored = is_address(out)
+    if not out:
+        raise InputError("--out is empty: give a folder, or . for this one")
+    if not preview and set(save) == {"preview"}:
+        raise InputError("--save preview writes what --no-preview leaves out: give one of them")
     if not stored and Path(out).exists() and not Path(out).is_dir():
         raise InputError(f"--out {out} is a file: give a folder")
     if workers is not None and workers < 0:

@@ -105,8 +105,11 @@ class Camera:
             raise InputError(f"a camera matrix has 3 x 3 numbers, got an array of shape {values.shape}")
         (fx, skew, cx), (zero, fy, cy), last = values.tolist()
         if skew != 0 or zero != 0 or last != [0, 0, 1]:
+            by_columns = skew == zero == cx == cy == 0 and last[2] == 1
+            advice = ". It is written by columns: transpose it" if by_columns else ""
             raise InputError(
                 f"a camera matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], in pixels; it is {values.tolist()}"
+                f"{advice}"
             )
         return cls(size, fx, fy, cx, cy, source)
 

@@ -21,6 +21,7 @@ _UNDISTORT = (
 _MAX_FOV = 170.0  # degrees
 _MAX_SIDE = 1e6  # pixels
 _MOST_NAMED = 6
+_OF_SLAM = re.compile(r"^Camera1?\.")  # ORB-SLAM's Camera.fx
 _HALF = 0.5  # of a pixel: for COLMAP and NeRFs the corner of the top left pixel is at (0, 0), for OpenCV its centre
 
 _COLMAP_MODEL = re.compile(r"[A-Z][A-Z0-9_]{2,}")
@@ -237,7 +238,7 @@ def _of_keys(values: Mapping[str, Any]) -> _Stated:
     for key, value in values.items():  # RealSense's and others': by their names, in whatever order they stand
         if _plain(key) in _MATRICES and isinstance(value, dict) and "data" not in value:
             return _of_keys({**{other: it for other, it in values.items() if other != key}, **value})
-    known = {_plain(key): value for key, value in values.items()}
+    known = {_plain(_OF_SLAM.sub("", str(key))): value for key, value in values.items()}
     models = [str(known[key]) for key in _MODELS if key in known]
     curved = [model for model in models if _plain(model).removeprefix("distortion") not in _PLAIN_MODELS]
     if curved:
