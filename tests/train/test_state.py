@@ -266,6 +266,7 @@ def other_values(config: TrainConfig) -> dict[str, object]:
         "ema_decay": 0.5,
         "precision": "bf16-mixed",
         "holdout": 1,
+        "holdouts": (1, 2, 3),
         "seed": 1,
     }
 

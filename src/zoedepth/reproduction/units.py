@@ -182,7 +182,8 @@ def _training(
     weights: Mapping[str, str],
 ) -> Training:
     fields = to_dict(config)
-    values: dict[str, Any] = {k: v for k, v in fields.items() if k not in _NO_MATTER and _LATER.get(k) != v}
+    unset = [name for name, default in _LATER.items() if fields[name] == default]
+    values: dict[str, Any] = {k: v for k, v in fields.items() if k not in _NO_MATTER and k not in unset}
     begin = start.id if isinstance(start, Training) else weights.get(start, start)
     own = {source.name: data[source.name] for source in config.sources}
     return Training(name, config, own, start, fingerprint([values, dict(states), begin]))
