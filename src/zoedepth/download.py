@@ -108,6 +108,15 @@ def download(
     return path
 
 
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, in hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
 def version_of(url: str) -> str | None:
     """Return a text that changes with the file at an address: what its server says of its length, tag and time.
 
@@ -225,15 +234,12 @@ def _copy(
 
 def _verify(url: str, part: Path, record: Path, *, sha256: str, name: str) -> None:
     """Refuse and delete a file with another hash."""
-    digest = hashlib.sha256()
-    with part.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    if digest.hexdigest() != sha256.lower():
+    found = sha256_of(part)
+    if found != sha256.lower():
         part.unlink()
         record.unlink(missing_ok=True)
         raise InputError(
-            f"{name} from {url} is not the file it should be: its SHA-256 is {digest.hexdigest()}, expected "
+            f"{name} from {url} is not the file it should be: its SHA-256 is {found}, expected "
             f"{sha256.lower()}. It was deleted. Try again; if the hash stays the same, the file at this address has "
             "changed"
         )

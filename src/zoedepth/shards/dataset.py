@@ -18,13 +18,12 @@ from torch.utils.data import Dataset
 from zoedepth.data.facts import Facts, parse_facts, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
-from zoedepth.download import cache_home, download, version_of
+from zoedepth.download import cache_home, download, sha256_of, version_of
 from zoedepth.errors import InputError
 from zoedepth.images import read_image_with_orientation
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index, scan
 from zoedepth.shards.members import MAX_JSON, find_roles, unpack
 from zoedepth.stored import Memory, parse_json, read_mask, read_stored
-from zoedepth.weights.fingerprint import content
 
 WINDOW = 4
 """The number of shards whose samples a shuffled order mixes."""
@@ -189,7 +188,7 @@ class ShardDataset(Dataset[Sample]):
         found: dict[int, str] = {}
         for shard, start in zip(self.index.shards, self._starts, strict=False):  # there is one start more
             path = self._locate(shard)
-            if shard.sha256 is not None and path.is_file() and content(path) != shard.sha256:
+            if shard.sha256 is not None and path.is_file() and sha256_of(path) != shard.sha256:
                 problem = f"{path} is damaged, or was changed: it has not the hash that {INDEX_FILE} has. Copy it again"
                 found |= dict.fromkeys(range(int(start), int(start) + len(shard)), problem)
         return found

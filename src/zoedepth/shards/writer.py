@@ -20,6 +20,7 @@ from zoedepth.data.lists import Pair
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample, Samples, Target
 from zoedepth.datasets.published import PublishedDataset
+from zoedepth.download import sha256_of
 from zoedepth.errors import InputError
 from zoedepth.images import (
     IMAGE_SUFFIXES,
@@ -33,7 +34,6 @@ from zoedepth.images import (
 from zoedepth.shards.index import INDEX_FILE, Index, Shard, read_index
 from zoedepth.shards.members import MAX_SAMPLE, pack
 from zoedepth.stored import Memory, to_json
-from zoedepth.weights.fingerprint import content
 
 SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
 """Stored values of one metre that are tried, to store depth as whole numbers; 5000 is TUM's."""
@@ -282,7 +282,7 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
         file = out / shard.name
         if not file.is_file() or file.stat().st_size < shard.offsets[-1]:
             break
-        if shard.sha256 is not None and content(file) != shard.sha256:
+        if shard.sha256 is not None and sha256_of(file) != shard.sha256:
             raise InputError(f"{file} is damaged, or was changed: remove it, and it is written again")
         finished.append(shard)
     same = index.settings == settings
