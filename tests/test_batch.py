@@ -66,6 +66,10 @@ CALIBRATION = Calibration(2.0, camera=Lens(fov_x=60).camera((12, 24)), readings=
 SPHERE = b'<x:xmpmeta xmlns:x="adobe:ns:meta/" GPano:ProjectionType="equirectangular"/>'
 
 
+# The tests make a pipe, and os.mkfifo is not there on Windows, whose pipes lie in no folder: there is nothing to test.
+NEEDS_PIPES = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
+
+
 def write_sphere(path: Path, *, said: bool) -> Path:
     """Write a photo twice as wide as high, whose XMP says that it is a panorama, or does not."""
     noise = np.random.default_rng(0).integers(0, 256, (32, 64, 3), dtype=np.uint8)
@@ -201,15 +205,14 @@ class TestFindPhotos:
             found = find_photos([source], tmp_path / "out")
             assert [photo.path.name for photo in found.photos] == ["a.jpg"]
 
-    # The test makes a pipe, and os.mkfifo is not there on Windows, whose pipes lie in no folder.
-    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
+    @NEEDS_PIPES
     def test_pipes_are_left_out(self, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "a.jpg")
         for source in (str(tmp_path), str(tmp_path / "*.jpg")):
             found = find_photos([source], tmp_path / "out")
             assert (found.photos, dict(found.left_out)) == ([], {"pipes and devices, which are no files": 1})
 
-    @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="Windows has no pipes in folders")
+    @NEEDS_PIPES
     def test_a_pipe_that_is_named_is_refused_and_not_waited_for(self, tmp_path: Path) -> None:
         os.mkfifo(tmp_path / "a.jpg")
         (photo,) = find_photos([str(tmp_path / "a.jpg")], tmp_path / "out").photos

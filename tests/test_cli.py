@@ -290,7 +290,6 @@ def test_module_is_the_command(tmp_path: Path) -> None:
     assert "Traceback" not in process.stderr
 
 
-@pytest.mark.skipif(os.name != "posix", reason="Windows has no SIGTERM")
 def test_sigterm_cleans_up_and_has_its_own_exit_code(tmp_path: Path) -> None:
     code = f"""
 import signal, sys, tempfile

@@ -62,6 +62,7 @@ def test_the_only_channel_is_depth_whatever_its_name(tmp_path: Path, name: str) 
         ("beauty.depth", ("beauty.R", "beauty.G", "beauty.B")),
         ("left.Z", ("left.R", "left.G", "left.B", "ZBack")),
         ("ViewLayer.Depth.Z", ("ViewLayer.Denoising Depth.Z", "ViewLayer.Combined.R")),
+        ("Display.Depth.Z", ("Display.Combined.R",)),
     ],
 )
 def test_depth_among_other_layers(tmp_path: Path, name: str, beside: tuple[str, ...]) -> None:

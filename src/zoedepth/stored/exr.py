@@ -13,7 +13,7 @@ from zoedepth.stored.files import Map, cause, check_exists, check_map
 # channels that make a vector of Z, a texture's place or a colour of V. Parts of names of layers that are not depth.
 _DEPTH, _SIBLINGS = {"z", "v", "depth"}, {"x", "y", "u", "s"}
 _OTHERS = (
-    "mist", "index", "count", "mask", "denoising", "disp", "inverse", "invdepth", "normal", "albedo", "confidence",
+    "mist", "index", "count", "mask", "denoising", "disparity", "inverse", "invdepth", "normal", "albedo", "confidence",
     "occlusion",
 )  # fmt: skip
 _OF_UNREAL = ("worlddepth", "scenedepth")

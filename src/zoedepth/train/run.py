@@ -23,7 +23,7 @@ from zoedepth.train.log import Log, Ticker, check_log, say
 from zoedepth.train.optim import build_optimizer
 from zoedepth.train.sources import load_sources
 from zoedepth.train.start import start_from
-from zoedepth.train.state import TrainState, averaged, check_same, checkpoints
+from zoedepth.train.state import TrainState, averaged, check_same, checkpoints, damaged
 from zoedepth.train.tolerant import Tolerant
 from zoedepth.weights.checkpoint import read_checkpoint
 from zoedepth.weights.load import find
@@ -176,9 +176,7 @@ def _provenance_of(checkpoint: Path) -> Provenance:
     try:
         return read_checkpoint(checkpoint).provenance
     except InputError as error:
-        raise InputError(
-            f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
-        ) from error
+        raise damaged(checkpoint, error) from error
 
 
 @contextmanager

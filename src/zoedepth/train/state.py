@@ -145,7 +145,7 @@ class TrainState:
             meta = json.loads((checkpoint / "meta.json").read_text(encoding="utf-8"))
             values: dict[str, Any] = torch.load(checkpoint / "train.pt", map_location="cpu", weights_only=True)
         except Exception as error:  # a damaged file can raise anything
-            raise _damaged(checkpoint, error) from error
+            raise damaged(checkpoint, error) from error
         try:
             self.model.load_state_dict(values["model"])
             self.optimizer.load_state_dict(values["optimizer"])
@@ -188,7 +188,7 @@ def check_same(
         saved = from_dict(TrainConfig, meta["config"], where="config")
         step = int(meta["step"])
     except Exception as error:  # a damaged file can raise anything
-        raise _damaged(checkpoint, error) from error
+        raise damaged(checkpoint, error) from error
     harmless = {*_HARMLESS, *besides}
     if step >= saved.steps and config.steps > saved.steps:
         harmless.add("steps")
@@ -207,7 +207,8 @@ def check_same(
         )
 
 
-def _damaged(checkpoint: Path, error: Exception) -> InputError:
+def damaged(checkpoint: Path, error: Exception) -> InputError:
+    """Return the error of a checkpoint that cannot be gone on from."""
     return InputError(
         f"cannot resume from {checkpoint}, it is damaged: {error}. Remove it to go on from an older checkpoint"
     )

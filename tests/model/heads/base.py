@@ -230,6 +230,7 @@ class HeadTester:
             # No processor is so: AMX comes with AVX-512. Without the variable the error is one.
             if "ATEN_CPU_CAPABILITY" not in os.environ or "pack_vnni2" not in str(error):
                 raise
+            # An error of torch itself, on a processor that the variable makes up: there is nothing of ours to test.
             pytest.skip("torch has no attention in bfloat16 with AMX under ATEN_CPU_CAPABILITY")
         assert output.depth.dtype == torch.float32
         assert output.depth.isfinite().all()
