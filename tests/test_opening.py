@@ -87,6 +87,11 @@ def test_split_chooses_the_list_or_the_folder_of_shards(folder: Path, shards: Pa
     write_shards(PairDataset(folder, split="test"), tmp_path / "all" / "test", name="data", size=ShardSize(samples=9))
     shutil.move(shards, tmp_path / "all" / "train")
     assert [len(open_dataset(tmp_path / "all", split=split)) for split in ("train", "test")] == [2, 1]
+    (tmp_path / "all/dataset.json").write_text('{"max_depth": 5}')
+    with pytest.raises(InputError, match=r"all/dataset\.json is not beside the shards .*: move it to \S*all/test"):
+        open_dataset(tmp_path / "all", split="test")
+    shutil.move(tmp_path / "all/dataset.json", tmp_path / "all/test/dataset.json")
+    assert open_dataset(tmp_path / "all", split="test").max_depth == 5
 
 
 def test_photos_without_depth_where_allowed(folder: Path) -> None:

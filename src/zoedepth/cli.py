@@ -225,8 +225,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except ZoeDepthError as error:
         return _stop(WRONG, f"{name}: {error}")
-    except Terminated:
-        return _stop(TERMINATED, f"{name}: terminated")
+    except Terminated as terminated:
+        return _stop(TERMINATED, ": ".join(filter(None, (f"{name}: terminated", str(terminated)))))
     except KeyboardInterrupt as interrupt:
         return _stop(INTERRUPTED, ": ".join(filter(None, (f"{name}: interrupted", str(interrupt)))))
     except ModuleNotFoundError as error:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
-from zoedepth.data.facts import Facts, parse_facts
+from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts
 from zoedepth.data.folders import LAYOUTS, find_layout
 from zoedepth.data.huggingface import HuggingFaceDataset, is_saved, load_hub, load_saved
 from zoedepth.data.pairs import PairDataset, find_list
@@ -101,6 +101,8 @@ def _open_folder(
     if find_list(path, split):
         return PairDataset(path, split=split, **pairs, **given)
     if (shards / INDEX_FILE).is_file():
+        if shards != path and (path / DEFAULTS_FILE).is_file() and not (shards / DEFAULTS_FILE).is_file():
+            raise InputError(f"{path / DEFAULTS_FILE} is not beside the shards that it may be of: move it to {shards}")
         return ShardDataset(shards, **given)
     if is_saved(path):
         data = load_saved(path, split=split)

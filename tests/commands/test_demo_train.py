@@ -23,6 +23,10 @@ def test_demo_trains_both_stages_and_shows_what_came_of_it(
     monkeypatch.setattr(demo, "relative", small(demo.relative))
     monkeypatch.setattr(demo, "metric", small(demo.metric))
     command = ["demo-train", "--out", str(tmp_path), "--scenes", "6"]
+    (tmp_path / "predictions.jpg").write_text("mine")
+    assert main(command) == 2
+    assert "predictions.jpg is not from zoedepth" in capsys.readouterr().err
+    (tmp_path / "predictions.jpg").unlink()
     assert main(command) == 0
     printed = capsys.readouterr()
     assert [word for word in ("relative", "metric", "disparity RMSE", "REL") if word not in printed.out] == []

@@ -57,11 +57,26 @@ def test_table_is_written_and_says_what_has_not_run(
     nyu: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["reproduce", "table-5", "--small", "--show", "--data", nyu, "--out", str(out), *BASE]) == 0
-    assert {path.name for path in out.iterdir()} == {f"table-5-small.{suffix}" for suffix in ("md", "html", "tex")}
+    words = ["reproduce", "table-5", "--small", "--show", "--data", nyu, "--out", str(out), *BASE]
+    assert main(words) == 0
+    files = {path.name for path in out.iterdir() if path.is_file()}
+    assert files == {f"table-5-small.{suffix}" for suffix in ("md", "html", "tex")}
+    assert main(words) == 0  # its own files are replaced
     text = (out / "table-5-small.md").read_text()
     assert "| Naive head | not run | not run | 0.096 | not run | 0.335 |" in text
     assert "0.096" in capsys.readouterr().out
+
+
+def test_files_that_are_not_ours_are_never_replaced(
+    nyu: str, tmp_path: Path, started: list[tuple[str, int]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "table-5-small.tex").write_text("mine")
+    assert main(["reproduce", "table-5", "--small", "--data", nyu, "--out", str(out), *BASE]) == 2
+    assert "table-5-small.tex is not of a reproduction" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["table-5-small.tex"]
+    assert started == []
 
 
 @pytest.mark.parametrize(

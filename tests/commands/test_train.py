@@ -295,6 +295,18 @@ def test_value_that_makes_no_sense_is_an_error_that_says_why(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("others", [[], ["--config.no-route-by-label"], ["--config.domain-weight", "0"]])
+def test_an_auto_router_is_given_no_labels(
+    tiny_recipe: Callable[[str], None], tmp_path: Path, capsys: pytest.CaptureFixture[str], others: list[str]
+) -> None:
+    tiny_recipe("metric")
+    words = ["train", "tiny", "--data", "a=b", "--out", str(tmp_path / "out"), "--config.model.router.kind", "auto"]
+    assert main([*words, *others]) == 2
+    assert "add --config.no-route-by-label and --config.domain-weight 0" in capsys.readouterr().err
+    assert main([*words, "--config.no-route-by-label", "--config.domain-weight", "0"]) == 2
+    assert "--config.domain-weight" not in capsys.readouterr().err  # but for the data, which are not there
+
+
 @pytest.mark.parametrize("missing", ["--data", "--out"])
 def test_data_and_out_must_be_given(
     tiny_recipe: Callable[[str], None], missing: str, capsys: pytest.CaptureFixture[str]

@@ -25,6 +25,11 @@ def test_command_says_what_is_missing_and_its_code_does_too(
     text = (tmp_path / "out" / "verify.md").read_text()
     assert "Not there:" in text
     assert "- zoed-m12-nk: no ZoeD_M12_NK.pt" in text
+    assert main(["verify", str(folder), "--out", str(tmp_path / "out")]) == 1  # its own report is replaced
+    (tmp_path / "out" / "verify.md").write_text("mine")
+    assert main(["verify", str(folder), "--out", str(tmp_path / "out")]) == 2
+    assert (tmp_path / "out" / "verify.md").read_text() == "mine"
+    assert "verify.md is not from zoedepth" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
     assert main(["verify", str(tmp_path / "empty"), "--out", str(tmp_path / "out")]) == 2
     assert "there is nothing to verify" in capsys.readouterr().err

@@ -83,7 +83,7 @@ def test_without_calibration_the_list_says_the_focal_length(tmp_path: Path, word
 def test_a_bad_list_is_an_error(tmp_path: Path, line: str):
     write_kitti(tmp_path, "train")
     (tmp_path / "kitti_eigen_train_files_with_gt.txt").write_text(line + "\n")
-    with pytest.raises(InputError, match=r"must name a photo and its depth|leads out of"):
+    with pytest.raises(InputError, match=r"line 1 of .* must name a photo and its depth|leads out of"):
         KITTI(tmp_path)
 
 

@@ -6,6 +6,7 @@ from tests.datasets.base import DatasetTester, slope, write_photo, write_png
 
 from zoedepth.data.sample import Sample
 from zoedepth.datasets.nyu import NYU
+from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 
 SIZE = (48, 64)
@@ -44,6 +45,23 @@ class TestTest(TestTrain):
     def check_first(self, sample: Sample) -> None:
         assert sample.name == "official_splits/test/kitchen/rgb_00012.jpg"
         np.testing.assert_allclose(sample.target[0, 5:], DEPTH[5:], atol=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", r"nyudepthv2_train_files_with_gt\.txt is empty: get it anew from github\.com/cleinc/bts"),
+        (
+            "/a.jpg /a.png 518\n\n<html>\n",
+            "line 3 of nyudepthv2_train_files_with_gt.txt must name a photo and its depth",
+        ),
+    ],
+)
+def test_a_list_that_is_none_is_an_error_that_names_it(tmp_path: Path, text: str, message: str):
+    write_scene(tmp_path / "sync/kitchen_0028b")
+    (tmp_path / "nyudepthv2_train_files_with_gt.txt").write_text(text)
+    with pytest.raises(InputError, match=message):
+        NYU(tmp_path)
 
 
 @pytest.mark.parametrize("base", ["", "sync"])

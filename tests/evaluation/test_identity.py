@@ -27,6 +27,15 @@ def test_settings_lie_in_the_folder_or_beside_the_list(tmp_path: Path) -> None:
     assert settings_fingerprint("synthetic:rooms") is None
 
 
+def test_settings_of_shards_lie_beside_them(tmp_path: Path) -> None:
+    folder = tmp_path / "all/test"
+    write_shards(PairDataset(write_pairs(tmp_path, n=1)), folder, name="data", size=ShardSize(samples=9))
+    data = open_dataset(tmp_path / "all", split="test")
+    assert settings_fingerprint(str(tmp_path / "all"), data) is None
+    (folder / "dataset.json").write_text('{"max_depth": 5}')
+    assert settings_fingerprint(str(tmp_path / "all"), data) is not None
+
+
 # ---------------------------------------------------------------------------------------------------- stamps
 
 

@@ -264,6 +264,16 @@ def test_depth_that_is_no_number_counts_as_nearest_where_its_inverse_is_aligned(
     np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1e-3, 10.0]])
 
 
+@pytest.mark.parametrize("hole", [0.0, math.nan, math.inf, -1.0])
+def test_holes_do_not_decide_on_the_alignment_of_the_others(hole: float) -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 5.0]])
+    found = aligned_depth(prediction_of([[2.0, 4.0, 8.0, hole]]), truth, truth > 0, DISPARITY)
+    nearest = 1e-3 if hole <= 0 or math.isnan(hole) else 10.0
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, nearest]], rtol=1e-5)
+    nothing = aligned_depth(prediction_of([[hole] * 4]), truth, truth > 0, DISPARITY)
+    assert np.isfinite(nothing).all()
+
+
 def test_disparity_that_is_no_number_counts_as_nearest_and_minus_infinity_as_farthest() -> None:
     truth = np.array([[1.0, 2.0, 4.0, 0.0, 0.0, 0.0]])
     relative = [[1.0, 0.5, 0.25, math.nan, math.inf, -math.inf]]

@@ -60,6 +60,21 @@ def test_rows_are_compared_seed_by_seed() -> None:
     assert found.best == {(1, 2), (0, 4), (1, 4)}  # RMSE is the same
 
 
+def test_seeds_are_those_of_the_cells_and_all_are_compared_over_the_same_data() -> None:
+    naive, attractors = TABLE.rows
+    units = [unit(row, seed) for seed in (3, 4) for row in (naive, attractors)]
+    more = {"kitchen": {"rel": 0.5, "rmse": 1.0, "delta1": 0.5}}
+    results = [result(0.2), result(0.1), result(0.4), result(0.4)]
+    results[:2] = [Result({**each.scores, **more}) for each in results[:2]]
+    found = shown(TABLE, units, results, datasets=["kitchen"])
+    cells = dict(zip(found.header, found.rows[1], strict=True))
+    assert cells["seeds"] == "1-2"
+    assert cells["kitchen REL"] == "0.500"
+    assert cells["mRI_D %"] == "+25.0"  # of seed 3 alone: 50 % on nyu, 0 % on kitchen
+    none = shown(TABLE, units, [Result({})] * 4)
+    assert {row[1] for row in none.rows} == {"not run"}
+
+
 def test_a_score_of_which_there_is_no_percentage_has_a_dash() -> None:
     naive, attractors = TABLE.rows
     found = shown(TABLE, [unit(naive, 3), unit(attractors, 3)], [result(0.0), result(0.1)])

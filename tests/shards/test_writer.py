@@ -168,6 +168,20 @@ class TestWriting:
         with pytest.raises(InputError, match=r"samples 3 to 5, or what is said of them, have changed"):
             write_shards(pairs, shards, name="pairs", size=THREE)
 
+    def test_a_mark_for_unknown_depth_that_was_said_since_is_noticed(self, tmp_path: Path):
+        """Also where the first sample has none of it."""
+        folder = write_pairs(tmp_path / "pairs", n=2, size=(16, 24)).parent
+        (folder / "train.csv").unlink()
+        for number, metres in enumerate((2.0, 60.0)):
+            write_depth_png(folder / f"depth/train_00{number}.png", np.full((16, 24), metres, np.float32))
+        about = {"domain": "indoor", "depth_scale": 1000}
+        for said in (about, {**about, "max_depth": 50}):
+            (folder / "dataset.json").write_text(json.dumps(said))
+            if "max_depth" not in said:
+                write_shards(PairDataset(folder), tmp_path / "shards", name="pairs", size=THREE)
+        with pytest.raises(InputError, match="samples 0 to 1, or what is said of them, have changed"):
+            write_shards(PairDataset(folder), tmp_path / "shards", name="pairs", size=THREE)
+
     def test_files_that_have_changed_since_are_said(self, pairs: PairDataset, shards: Path):
         """Also where the first sample, and all the numbers, are what they were."""
         path = pairs.pairs[4].target

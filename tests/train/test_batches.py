@@ -12,7 +12,7 @@ import torch
 
 from zoedepth.data.sample import Batch
 from zoedepth.errors import InputError
-from zoedepth.train.batches import Batches, _ignore_termination, load_batches
+from zoedepth.train.batches import Batches, _ignore_the_first_signal, load_batches
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.sources import load_sources
 
@@ -68,25 +68,31 @@ def test_processes_share_every_batch(make_config: MakeConfig, data: Data) -> Non
         assert sorted(first.names + second.names) == sorted(whole.names)
 
 
-def test_a_signal_to_all_processes_leaves_the_samples_of_the_last_step(make_config: MakeConfig, data: Data) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=["SIGTERM", "Ctrl-C"])
+def test_a_signal_to_all_processes_leaves_the_samples_of_the_last_step(
+    make_config: MakeConfig, data: Data, number: int
+) -> None:
     training, _ = load_sources(make_config(n_workers=1, steps=30), data)
     batches = iter(load_batches(make_config(n_workers=1, steps=30), OneOfSeveral(), training, first_step=0))
     next(batches)
     (worker,) = multiprocessing.active_children()
-    os.kill(cast(int, worker.pid), signal.SIGTERM)
+    os.kill(cast(int, worker.pid), number)
     assert len(list(batches)) == 29
     worker.join(60)
     assert worker.exitcode == 0
 
 
 def test_a_second_signal_ends_a_process_that_reads_samples() -> None:
-    before = signal.getsignal(signal.SIGTERM)
+    both = (signal.SIGTERM, signal.SIGINT)
+    before = [signal.getsignal(number) for number in both]
     try:
-        _ignore_termination(0)
-        signal.raise_signal(signal.SIGTERM)
-        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+        _ignore_the_first_signal(0)
+        for number in both:
+            signal.raise_signal(number)
+            assert signal.getsignal(number) is signal.SIG_DFL
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in zip(both, before, strict=True):
+            signal.signal(number, handler)
 
 
 @pytest.mark.parametrize("n_workers", [2])

@@ -377,7 +377,8 @@ def test_a_result_belongs_to_its_data_its_options_and_its_weights(
     rooms, out = folder_of_pairs(tmp_path / "rooms", n=3), tmp_path / "out"
     arguments = ["train", "finetune", "--data", str(rooms), "--init", init, "--out", str(out), "--holdout", "1"]
     assert main([*arguments, "--steps", "1"]) == 0
-    kept = {path: path.read_bytes() for path in (out / "README.md", out / "metrics.json")}
+    names = ("README.md", "metrics.json", "data.jpg", "initial.safetensors")
+    kept = {path: path.read_bytes() for path in (out / name for name in names)}
     monkeypatch.setattr(module, "_measure", None)
 
     def refused(*changes: str) -> str:
@@ -401,5 +402,6 @@ def test_a_result_belongs_to_its_data_its_options_and_its_weights(
     assert "other starting weights" in refused()
     Path(init).write_bytes(before)
     monkeypatch.undo()
+    arguments[3] += "/"  # which shells add
     assert main([*arguments, "--steps", "2"]) == 0
     assert (out / "run/step_000002").is_dir()

@@ -7,8 +7,10 @@ import pytest
 import torch
 from tests.folders import write_pairs
 
+from zoedepth.data.pairs import PairDataset
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.opening import open_dataset
+from zoedepth.shards.writer import ShardSize, write_shards
 from zoedepth.train.identity import data_state, same_start, start_state
 from zoedepth.weights.save import save_model
 
@@ -40,6 +42,23 @@ def test_other_data_is_known_by_the_files_of_its_folder(tmp_path: Path) -> None:
     assert data_state(scenes, str(tmp_path)) == before
     (tmp_path / "part").write_text("22")
     assert data_state(scenes, str(tmp_path)) != before
+
+
+def test_shards_are_known_by_themselves_and_what_is_said_of_them(tmp_path: Path) -> None:
+    folder = tmp_path / "all/train"
+    write_shards(PairDataset(write_pairs(tmp_path, n=2)), folder, name="data", size=ShardSize(samples=1))
+
+    def state() -> str:
+        return data_state(open_dataset(tmp_path / "all"), str(tmp_path / "all"))
+
+    before = state()
+    (tmp_path / "all/run").mkdir()
+    (tmp_path / "all/run/log.jsonl").write_text("{}")
+    assert state() == before
+    (folder / "dataset.json").write_text('{"max_depth": 5}')
+    said = state()
+    os.utime(folder / "data-000001.tar", ns=(1, 1))
+    assert len({before, said, state()}) == 3
 
 
 def test_weights_are_known_by_their_content_and_not_by_the_texts_beside_it(

@@ -5,6 +5,7 @@ import threading
 
 import pytest
 
+from zoedepth.errors import Terminated
 from zoedepth.train import processes
 from zoedepth.train.interruption import Interruption
 
@@ -26,6 +27,14 @@ def test_a_signal_is_noted_and_the_handlers_are_put_back(number: int) -> None:
         signal.raise_signal(number)
         assert noted.asked(Device())
     assert [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)] == before
+
+
+@pytest.mark.parametrize(("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_the_error_tells_which_signal_it_was(number: int, kind: type[KeyboardInterrupt]) -> None:
+    with Interruption() as noted:
+        signal.raise_signal(number)
+        assert type(noted.error("step 2 is saved")) is kind
+        assert str(noted.error("step 2 is saved")) == "step 2 is saved"
 
 
 def test_a_second_signal_does_what_it_did_before() -> None:

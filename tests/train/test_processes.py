@@ -108,7 +108,7 @@ def test_without_a_library_the_extra_is_named(make_config, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("cuda", "cuda_bf16", "mps", "cpu_bf16", "expected"),
+    ("cuda", "bf16", "mps", "cpu_bf16", "expected"),
     [
         (True, True, False, False, "bf16-mixed"),
         (True, False, False, True, "16-mixed"),
@@ -118,10 +118,11 @@ def test_without_a_library_the_extra_is_named(make_config, monkeypatch: pytest.M
     ],
 )
 def test_precision_is_that_of_the_hardware_unless_given(
-    monkeypatch: pytest.MonkeyPatch, cuda: bool, cuda_bf16: bool, mps: bool, cpu_bf16: bool, expected: str
+    monkeypatch: pytest.MonkeyPatch, cuda: bool, bf16: bool, mps: bool, cpu_bf16: bool, expected: str
 ) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda)
-    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda: cuda_bf16)
+    # A GPU that emulates bfloat16 says yes where it is asked in the usual way.
+    monkeypatch.setattr(torch.cuda, "is_bf16_supported", lambda including_emulation=True: including_emulation or bf16)
     monkeypatch.setattr(torch.backends.mps, "is_available", lambda: mps)
     monkeypatch.setattr(torch.ops.mkldnn, "_is_mkldnn_bf16_supported", lambda: cpu_bf16, raising=False)
     assert resolve("auto") == expected

@@ -10,6 +10,7 @@ from PIL import Image
 from tests.folders import write_pairs
 from tests.train.runs import log_of
 
+from zoedepth.errors import Terminated
 from zoedepth.train import report as module
 from zoedepth.train.report import report
 from zoedepth.train.run import Run
@@ -108,15 +109,17 @@ def test_a_run_that_is_asked_to_end_saves_its_step_first(start_run: StartRun) ->
     take(run, 1)
     assert checkpoints(run.out) == []
     signal.raise_signal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt, match="step 2 is saved; the same command goes on from there"):
+    with pytest.raises(Terminated, match="step 2 is saved; the same command goes on from there"):
         take(run, 1)
     assert [path.name for path in checkpoints(run.out)] == ["step_000002"]
 
 
-def test_a_run_that_is_asked_to_end_at_its_last_step_has_finished(start_run: StartRun) -> None:
+def test_a_run_that_is_asked_to_end_at_its_last_step_has_finished_and_says_so(start_run: StartRun) -> None:
+    """Its caller may have another stage to train, or a model to score."""
     run = start_run(steps=1)
     signal.raise_signal(signal.SIGTERM)
-    take(run, 1)
+    with pytest.raises(Terminated, match="step 1 is saved"):
+        take(run, 1)
     assert [path.name for path in checkpoints(run.out)] == ["step_000001"]
 
 

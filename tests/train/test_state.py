@@ -13,6 +13,7 @@ import torch
 from zoedepth.config import ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
+from zoedepth.train import state as module
 from zoedepth.train.config import OptimConfig, SourceConfig, TrainConfig
 from zoedepth.train.optim import build_optimizer
 from zoedepth.train.state import TrainState, averaged, checkpoints
@@ -103,6 +104,42 @@ def test_loaded_state_is_the_saved_one_bit_for_bit(config: TrainConfig, tmp_path
     take_step(loaded)
     assert_equal(loaded.model.state_dict(), saved.model.state_dict())
     assert_equal(loaded.ema.state_dict(), saved.ema.state_dict())
+
+
+class _Scaling:
+    """A precision with a state, as float16's is."""
+
+    def __init__(self, scale: float) -> None:
+        self.scale = scale
+
+    def state_dict(self) -> dict[str, float]:
+        return {"scale": self.scale}
+
+    def load_state_dict(self, values: dict[str, float]) -> None:
+        self.scale = values["scale"]
+
+
+def test_the_factor_of_the_loss_goes_on_where_it_was(config: TrainConfig, saved_once: Path, tmp_path: Path) -> None:
+    state = make_state(config)
+    state.precision = _Scaling(512.0)
+    folder = state.save(tmp_path, config)
+    state.precision = _Scaling(65536.0)
+    state.load(folder, config)
+    assert state.precision.scale == 512
+    state.load(saved_once, config)  # of a precision without a state
+    assert state.precision.scale == 512
+
+
+def test_weights_of_the_data_sets_go_to_the_device_of_the_model(
+    config: TrainConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = make_state(config)
+    state.task_weights = torch.tensor([0.25, 0.75])
+    folder = state.save(tmp_path, config)
+    # The device that every machine has besides the processor.
+    monkeypatch.setattr(module, "_device", lambda model: torch.device("meta"))
+    state.load(folder, config)
+    assert state.task_weights.device.type == "meta"
 
 
 def test_average_follows_with_its_decay(config: TrainConfig) -> None:

@@ -12,7 +12,10 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.progress import track
+from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
+from zoedepth.images import atomic_path
+from zoedepth.outputs.ownership import has_own_mark
 from zoedepth.recipes import demo
 
 
@@ -36,6 +39,9 @@ def demo_train(
 
     require_libraries()  # said before scenes are rendered
     check_writable(out, option="--out")
+    picture = out / "predictions.jpg"
+    if picture.exists() and not has_own_mark(picture):
+        raise InputError(f"{picture} is not from zoedepth and would be replaced: move it, or give another --out")
     console = Console(stderr=True, highlight=False)
     began = time.monotonic()
     console.print(f"Rendering {scenes} scenes")
@@ -64,6 +70,7 @@ def demo_train(
         change = f"{label} {held_out[0]:.3f} → {held_out[-1]:.3f}"
         table.add_row(stage, f"{fmean(losses[:3]):.3f}", f"{fmean(losses[-3:]):.3f}", change)
     Console(highlight=False).print(table)
-    shutil.copyfile(sorted((out / "metric/pictures").glob("*.jpg"))[-1], out / "predictions.jpg")
-    console.print(f"{time.monotonic() - began:.0f} s. Pictures: {out / 'predictions.jpg'}; the model: {last}")
+    with atomic_path(picture) as part:
+        shutil.copyfile(sorted((out / "metric/pictures").glob("*.jpg"))[-1], part)
+    console.print(f"{time.monotonic() - began:.0f} s. Pictures: {picture}; the model: {last}")
     return 0

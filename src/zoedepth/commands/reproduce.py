@@ -81,6 +81,11 @@ def reproduce(
         require_libraries()  # said before data are opened
     out = out.absolute()
     check_writable(out, option="--out")
+    reports = [f"{table}-{scale.name}.{suffix}" for suffix in ("md", "html", "tex", "png")]
+    if not (out / "results").is_dir() and (others := [name for name in reports if (out / name).exists()]):
+        raise InputError(
+            f"{out / others[0]} is not of a reproduction, and would be replaced: give another --out, or move it"
+        )
     given = {name: _absolute(source) for name, source in named_sources(data).items()}
     units = plan(chosen, scale, given, seeds=range(FIRST_SEED, FIRST_SEED + seeds), bases=bases)
     names = scored_names(chosen, units, given)
@@ -136,6 +141,7 @@ def _write(out: Path, name: str, table: "ReportTable") -> Path:
     """Write the table in three formats; return the first."""
     from zoedepth.images import atomic_path
 
+    (out / "results").mkdir(parents=True, exist_ok=True)  # by which the folder is known to be ours
     for suffix, text in (("md", table.markdown()), ("html", table.html()), ("tex", table.latex())):
         with atomic_path(out / f"{name}.{suffix}") as part:
             part.write_text(text, encoding="utf-8")

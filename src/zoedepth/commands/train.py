@@ -93,6 +93,7 @@ def train(arguments: Sequence[str]) -> int:
         from zoedepth.train.relative import train_relative as train_stage
     else:
         from zoedepth.train.metric import train_metric as train_stage
+    _check_router(options.config)
     check_writable(options.out, option="--out")
     print(
         train_stage(
@@ -105,6 +106,17 @@ def train(arguments: Sequence[str]) -> int:
         )
     )
     return 0
+
+
+def _check_router(config: TrainConfig) -> None:
+    """Refuse an auto router (R.3) that would be given labels: it would be trained as R.2, or not at all."""
+    model = config.model
+    auto = isinstance(model, ModelConfig) and model.router.kind == "auto" and len(model.domains) > 1
+    if auto and config.stage == "metric" and (config.route_by_label or config.domain_weight > 0):
+        raise InputError(
+            "an auto router learns from the depth alone, without labels: add --config.no-route-by-label and "
+            "--config.domain-weight 0, or take the recipe table_6_auto"
+        )
 
 
 def _with_root(config: TrainConfig, root: Path | None) -> TrainConfig:

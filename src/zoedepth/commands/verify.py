@@ -35,7 +35,7 @@ def verify(
     from zoedepth.commands.progress import track
     from zoedepth.folders import check_writable
     from zoedepth.images import atomic_path
-    from zoedepth.reproduction.verify import difference_table, find_files
+    from zoedepth.reproduction.verify import TITLE, difference_table, find_files
     from zoedepth.reproduction.verify import verify as score_all
 
     console = Console(stderr=True, highlight=False)
@@ -49,6 +49,9 @@ def verify(
             "there is nothing to verify: " + "; ".join(f"{name}: {why}" for name, why in found.missing.items())
         )
     check_writable(out, option="--out")
+    report = out / "verify.md"
+    if report.exists() and not report.read_bytes().startswith(f"**{TITLE}**".encode()):
+        raise InputError(f"{report} is not from zoedepth and would be replaced: move it, or give another --out")
     rows = score_all(
         found,
         out=out,
@@ -59,10 +62,10 @@ def verify(
     table = difference_table(rows)
     print_table(table)
     lines = [f"- {name}: {why}" for name, why in found.missing.items()]
-    with atomic_path(out / "verify.md") as part:
+    with atomic_path(report) as part:
         missing = "\n\nNot there:\n\n" + "\n".join(lines) + "\n" if lines else ""
         part.write_text(table.markdown() + missing, encoding="utf-8")
     for name, why in found.missing.items():
         say(f"not there: {name}: {why}")
-    say(f"Written to {out / 'verify.md'}")
+    say(f"Written to {report}")
     return 1 if found.missing else 0

@@ -106,7 +106,8 @@ def find_pairs(
             raise InputError(f"{layout[0]} has the splits {splits}, and not {split!r}: choose one of them")
         _check_split(layout[0], splits)
         layout = (layout[0] / split, layout[1] / split)
-    if not defaults.domain:
+    domain = defaults.domain
+    if not domain:
         raise InputError(f'{folder} needs a domain: write {{"domain": "indoor"}} into {folder / DEFAULTS_FILE}')
     photos, depths = _Half(layout[0], IMAGE_SUFFIXES), _Half(layout[1], frozenset(DEPTH_SUFFIXES))
     for stem in photos.files.keys() - depths.files.keys():
@@ -118,7 +119,7 @@ def find_pairs(
     absent = _other_halves(photos, depths) if keep_missing else set()
     _check_matched(photos, depths, allow_missing=allow_missing)
     pairs = [
-        Pair(photo, depths.files.get(stem), "depth", None, defaults.domain, defaults.camera)
+        Pair(photo, depths.files.get(stem), "depth", None, domain, defaults.camera, max_depth=defaults.max_depth)
         for stem, photo in photos.files.items()
     ]
     for pair in pairs:

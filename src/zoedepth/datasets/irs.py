@@ -5,7 +5,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from zoedepth.datasets.published import About, PairFiles, PublishedDataset
-from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.stored import read_exr
 
@@ -31,9 +30,7 @@ IRSDataset/Home/ArchVizInterior03Data/d_00001.exr
     def list_pairs(self) -> Sequence[PairFiles]:
         name = f"lists/irs_{self.split}.list"
         pairs = []
-        for number, row in enumerate(self.lines(name, origin="from github.com/HKBU-HPML/IRS"), start=1):
-            if len(row) < 3:
-                raise InputError(self.explain(f"line {number} of {name} must name left, right and disparity"))
+        for row in self.lines(name, origin="from github.com/HKBU-HPML/IRS", files=("left", "right", "disparity")):
             # In older lists the paths begin with the folder.
             left, disparity = (f"IRSDataset/{row[place].removeprefix('IRSDataset/')}" for place in (0, 2))
             pairs.append(PairFiles(self.inside(left), self.inside(disparity)))

@@ -34,12 +34,11 @@ kitti_eigen_train_files_with_gt.txt, kitti_eigen_test_files_with_gt.txt     (fro
     )
 
     def list_pairs(self) -> Sequence[PairFiles]:
-        rows = self.lines(f"kitti_eigen_{self.split}_files_with_gt.txt", origin="from github.com/cleinc/bts")
+        name = f"kitti_eigen_{self.split}_files_with_gt.txt"
+        rows = self.lines(name, origin="from github.com/cleinc/bts", files=("a photo", "its depth"))
         folder = "gt" if (self.root / "gt").is_dir() else ""
         pairs = []
-        for number, row in enumerate(rows, start=1):
-            if len(row) < 2:
-                raise InputError(self.explain(f"line {number} of the list must name a photo and its depth"))
+        for row in rows:
             target = None if row[1] == "None" else self.inside(f"{folder}/{row[1]}")
             pairs.append(PairFiles(self.inside(row[0]), target, lens=_lens(row[2:])))
         return pairs

@@ -32,7 +32,7 @@ official_splits/test/<scene>/rgb_00045.jpg, sync_depth_00045.png
         folder = "sync" if self.split == "train" else "official_splits/test"
         name = f"nyudepthv2_{self.split}_files_with_gt.txt"
         if (self.root / name).is_file():
-            rows = self.lines(name, origin="from github.com/cleinc/bts")
+            rows = self.lines(name, origin="from github.com/cleinc/bts", files=("a photo", "its depth"))
             # The paths of the lists in circulation are relative to the folder itself.
             base = folder if not self.inside(rows[0][0]).is_file() else ""
             return [PairFiles(self.inside(f"{base}/{row[0]}"), self.inside(f"{base}/{row[1]}")) for row in rows]

@@ -215,22 +215,33 @@ class PublishedDataset(Dataset[Sample], ABC):
             raise InputError(self.explain(f"there is no {pattern} in {self.root}"))
         return found
 
-    def lines(self, name: str, *, origin: str) -> list[list[str]]:
-        """Read the words of each line of a list in the root.
+    def lines(self, name: str, *, origin: str, files: Sequence[str] = ()) -> list[list[str]]:
+        """Read the words of each line of a list in the root; empty lines are left out.
 
         Args:
             name: its file name.
             origin: where to get the list, for the error.
+            files: what a line names at least, for the error.
 
         Raises:
-            InputError: the list is missing, or not text.
+            InputError: the list is missing, empty or not text, or a line names too few files.
         """
         path = self.root / name
         try:
             text = read_text(path, max_bytes=MAX_LIST)
         except InputError as error:
             raise InputError(self.explain(f"cannot read the list {path} (get it {origin}): {error}")) from error
-        return [words for line in text.splitlines() if (words := line.split())]
+        rows = []
+        for number, line in enumerate(text.splitlines(), start=1):
+            if not (words := line.split()):
+                continue
+            if len(words) < len(files):
+                wanted = f"{', '.join(files[:-1])} and {files[-1]}"
+                raise InputError(self.explain(f"line {number} of {name} must name {wanted}: get it anew {origin}"))
+            rows.append(words)
+        if not rows:
+            raise InputError(self.explain(f"the list {path} is empty: get it anew {origin}"))
+        return rows
 
     def inside(self, name: str) -> Path:
         """Return the path under the root that a list names; a leading slash, which some lists have, is ignored.

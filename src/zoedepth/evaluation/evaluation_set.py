@@ -58,5 +58,5 @@ def open_evaluation_set(
         dataset,
         {domain: replace(each, **(changes or {})) for domain, each in chosen.items()},
         {"data": str(source)},
-        {"settings": settings_fingerprint(str(source))},
+        {"settings": settings_fingerprint(str(source), dataset)},
     )

@@ -13,12 +13,18 @@ from zoedepth.data.facts import DEFAULTS_FILE
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
+from zoedepth.shards.dataset import ShardDataset
 from zoedepth.weights.fingerprint import content, files_state, fingerprint
 
 
-def settings_fingerprint(source: str) -> str | None:
-    """Return a hash of ``dataset.json`` in a folder of data or beside a list; None where there is no such file."""
-    path = Path(source)
+def settings_fingerprint(source: str, dataset: Samples | None = None) -> str | None:
+    """Return a hash of ``dataset.json`` in a folder of data or beside a list; None where there is no such file.
+
+    Args:
+        source: where the data is, as it was given.
+        dataset: the data; shards may lie in a folder below the one that was given.
+    """
+    path = dataset.folder if isinstance(dataset, ShardDataset) else Path(source)
     settings = (path if path.is_dir() else path.parent) / DEFAULTS_FILE
     return content(settings) if settings.is_file() else None
 

@@ -112,12 +112,15 @@ def aligned_depth(
     depth, truth = resize_depth(prediction.depth, truth.shape).astype(np.float64), truth.astype(np.float64)
     if prediction.relative and protocol.alignment != "disparity":
         raise InputError("relative depth has no metres: score it with --align disparity")
-    # As released: NaN counts as the nearest depth, infinity as the farthest.
+    # As released: NaN counts as the nearest depth, infinity as the farthest. Neither they nor holes, which are 0 in
+    # maps of depth, decide on the fit: one inverse depth of 1e6 would outweigh all others.
     if protocol.alignment == "disparity":
+        known = scored & np.isfinite(depth) & (prediction.relative | (depth > 0))
         inverse = depth if prediction.relative else 1 / np.maximum(depth, 1e-6)
         inverse = np.nan_to_num(inverse, nan=1 / low, posinf=1 / low, neginf=0.0)
+        wanted = 1 / np.maximum(truth, 1e-6)
         # A disparity of 0 or less is infinitely far.
-        depth = 1 / np.maximum(align_least_squares(inverse, 1 / np.maximum(truth, 1e-6), scored), 1 / high)
+        depth = 1 / np.maximum(align_least_squares(inverse, wanted, known if known.any() else scored), 1 / high)
     if protocol.alignment == "median":  # before that, since its unit may be any
         known = scored & np.isfinite(depth)
         depth = align_median(depth, truth, known) if known.any() else depth

@@ -86,13 +86,12 @@ def shown(
         row, found = unit.row, lines[unit.row.name]
         cells, numbers = _numbers(table, row, columns, tuple(found.values()))
         if over_all:
-            compared = {name: (name, "rel") for name in names}
+            compared = _scored({name: (name, "rel") for name in names}, results)
             cells += [_improvement(mri_datasets, found, reference, compared), table.printed_mri(row, ALL) or "-"]
         for name in names:
-            compared = {metric: (name, metric) for metric in MRI_METRICS}
+            compared = _scored({metric: (name, metric) for metric in MRI_METRICS}, results)
             cells.append(_improvement(mri_metrics, found, reference, compared))
-        n = sum(result is not None for result in found.values())
-        rows.append((row.name, str(n) if n else NOT_RUN, *cells))
+        rows.append((row.name, _seeds(columns, tuple(found.values())), *cells))
         values.append(numbers)
     best = {
         (i, 2 + 2 * k)
@@ -106,6 +105,25 @@ def shown(
 
 _Seeds = Mapping[int, Result | None]
 """Seed → the result of a row with it; None where it has not run."""
+
+
+def _scored(compared: Mapping[str, Column], results: Sequence[Result | None]) -> dict[str, Column]:
+    """Return what is compared without that of which no row has a score: all rows are compared over the same."""
+    return {
+        key: column
+        for key, column in compared.items()
+        if any(_value(result, *column) is not None for result in results)
+    }
+
+
+def _seeds(columns: Sequence[Column], found: Sequence[Result | None]) -> str:
+    """Write how many seeds the cells of a row are of, such as "1-3" where some data are scored for one seed alone."""
+    if failed := sum(result is not None and bool(result.failure) for result in found):
+        return str(failed)
+    counts = {sum(_value(result, *column) is not None for result in found) for column in columns} - {0}
+    if not counts:
+        return NOT_RUN
+    return "-".join(str(n) for n in sorted({min(counts), max(counts)}))
 
 
 def _lines(units: Sequence[Unit], results: Sequence[Result | None]) -> Mapping[str, _Seeds]:
@@ -166,16 +184,13 @@ def _improvement(
         mri: ``mri_datasets`` or ``mri_metrics``.
         mine: the results of the row.
         reference: the results of the row to compare with.
-        compared: key of what ``mri`` takes → data set and metric.
+        compared: key of what ``mri`` takes → data set and metric. A seed with a part of them does not count.
     """
     ours, theirs = _scores(mine, compared), _scores(reference, compared)
     gains: list[float] = []
-    for seed in ours.keys() & theirs.keys():
-        both = ours[seed].keys() & theirs[seed].keys()
-        if not both:
-            continue
+    for seed in ours.keys() & theirs.keys() if compared else ():
         try:
-            gains.append(mri(*({key: scores[seed][key] for key in both} for scores in (ours, theirs))))
+            gains.append(mri(ours[seed], theirs[seed]))
         except InputError:  # of a reference that is 0 there is no percentage, nor of a score that is not finite
             return "-"
     if not gains:
@@ -185,13 +200,14 @@ def _improvement(
 
 
 def _scores(found: _Seeds, compared: Mapping[str, Column]) -> dict[int, dict[str, float]]:
-    """Return seed → key → score, as far as there are scores; nothing where a training did not converge."""
+    """Return seed → key → score, of seeds that have all of them; nothing where a training did not converge."""
     if any(result is not None and result.failure for result in found.values()):
         return {}
-    return {
+    scores = {
         seed: {key: value for key, column in compared.items() if (value := _value(result, *column)) is not None}
         for seed, result in found.items()
     }
+    return {seed: values for seed, values in scores.items() if values.keys() == compared.keys()}
 
 
 def _note(table: Table, units: Sequence[Unit], reference: str) -> str:

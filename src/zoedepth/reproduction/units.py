@@ -21,11 +21,11 @@ from zoedepth.train.config import TrainConfig
 from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 from zoedepth.weights.load import find
 
-_NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check", "accumulate")
+_NO_MATTER = ("n_workers", "log_every", "pictures", "keep_checkpoints", "check")
 """Fields of a configuration that do not change its result."""
 
-_LATER = {"holdouts": ()}
-"""Fields that came after results had been published, and their defaults: they count only where they are set."""
+_LATER = {"holdouts": (), "accumulate": 1}
+"""Fields that did not count when results were published, and their defaults: they count only where they are set."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def content_of(dataset: Samples, source: str) -> str:
         dataset: the data set.
         source: where it is, as it was given.
     """
-    digest = hashlib.sha256(f"{settings_fingerprint(source)} {len(dataset)}".encode())
+    digest = hashlib.sha256(f"{settings_fingerprint(source, dataset)} {len(dataset)}".encode())
     if isinstance(dataset, PairDataset | PublishedDataset):
         for pair in dataset.pairs:
             facts: list[object] = [(file.name, _size(file)) for file in pair.files]

@@ -22,6 +22,8 @@ MODELS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "zoed-m12-nk": ("ZoeD-M12-NK", ("indoor", "outdoor")),
 }
 """Name of released weights → (the paper's name, the domains that the paper scores it on)."""
+TITLE = "The released weights against the paper's numbers"
+"""Title of the table of differences; it begins the report."""
 
 VARIANTS: Mapping[str, str] = {"paper": "", "released": "-released"}
 """Protocol, in words → what its name in ``PROTOCOLS`` ends with."""
@@ -189,4 +191,4 @@ def difference_table(rows: Iterable[Difference]) -> ReportTable:
             value = row.measured.get(variant)
             cells += [NOT_RUN, "-"] if value is None else [f"{value:.4f}", f"{value - float(row.printed):+.4f}"]
         lines.append((row.model, row.data, HEADINGS[row.metric], str(row.printed), *cells))
-    return ReportTable("The released weights against the paper's numbers", header, tuple(lines))
+    return ReportTable(TITLE, header, tuple(lines))

@@ -70,6 +70,8 @@ class ShardDataset(Dataset[Sample]):
         cache: Path | None = None,
     ) -> None:
         self.path = path
+        self.folder: Path
+        """The folder of the shards; ``dataset.json`` in it says what their samples do not."""
         self._defaults = Facts(depth_scale, domain, max_depth=max_depth)
         self._url: str | None = None
         cache = cache or cache_folder()
@@ -83,8 +85,8 @@ class ShardDataset(Dataset[Sample]):
         self._files = _Files()
 
     def _open_path(self, path: Path) -> None:
-        self._folder = path if path.is_dir() else path.parent
-        self._defaults = self._defaults.over(read_defaults(self._folder))
+        self.folder = path if path.is_dir() else path.parent
+        self._defaults = self._defaults.over(read_defaults(self.folder))
         file = path / INDEX_FILE if path.is_dir() and (path / INDEX_FILE).is_file() else path
         if file.is_dir() or file.suffix == ".tar":
             if not (shards := find_shards(file) if file.is_dir() else [file]):
@@ -93,7 +95,7 @@ class ShardDataset(Dataset[Sample]):
             return
         self.index = _usable(read_index(file), file)
         for shard in self.index.shards:
-            found = self._folder / shard.name
+            found = self.folder / shard.name
             if not found.is_file():
                 raise InputError(f"{file} lists {shard.name}, which is not beside it: copy it there")
             if found.stat().st_size < shard.offsets[-1]:
@@ -101,15 +103,15 @@ class ShardDataset(Dataset[Sample]):
 
     def _open_url(self, url: str, cache: Path) -> None:
         if url.endswith(".tar"):
-            self._folder = _cached(url, cache)
-            self.index = scan([download(url, self._folder / "shard.tar")], self._defaults)
+            self.folder = _cached(url, cache)
+            self.index = scan([download(url, self.folder / "shard.tar")], self._defaults)
             return
         with tempfile.TemporaryDirectory() as folder:  # asked for anew every time, because the shards may have changed
             file = download(url, Path(folder) / INDEX_FILE)
             self.index = _usable(read_index(file), url)
             content = file.read_bytes()
         self._url = url
-        self._folder = cache / hashlib.sha256(content).hexdigest()[:16]
+        self.folder = cache / hashlib.sha256(content).hexdigest()[:16]
 
     def __len__(self) -> int:
         return int(self._starts[-1])
@@ -163,7 +165,7 @@ class ShardDataset(Dataset[Sample]):
     @property
     def files(self) -> list[Path]:
         """The shards, those from the web where they are kept, whether they are there or not."""
-        return [self._folder / shard.name for shard in self.index.shards]
+        return [self.folder / shard.name for shard in self.index.shards]
 
     @property
     def licence(self) -> str | None:
@@ -194,7 +196,7 @@ class ShardDataset(Dataset[Sample]):
         return found
 
     def _locate(self, shard: Shard) -> Path:
-        path = self._folder / shard.name
+        path = self.folder / shard.name
         if self._url is not None and not path.exists():
             download(urljoin(self._url, quote(shard.name)), path, sha256=shard.sha256)
         return path

@@ -100,14 +100,16 @@ def load_batches(
         # A generator of its own: numbers drawn from the global one would differ after resuming.
         generator=torch.Generator(),
         prefetch_factor=4 if config.n_workers else None,
-        worker_init_fn=_ignore_termination,
+        worker_init_fn=_ignore_the_first_signal,
     )
     return Batches(cast(Iterable[Batch], fabric.setup_dataloaders(loader, use_distributed_sampler=False)))
 
 
-def _ignore_termination(_: int) -> None:
-    """Leave the first SIGTERM to the process that trains: schedulers send it to all, and the last step needs samples.
+def _ignore_the_first_signal(_: int) -> None:
+    """Leave the first SIGTERM, and the first Ctrl-C, to the process that trains: the last step needs samples.
 
-    The second one ends the process, so that one that hangs can be ended.
+    Schedulers and terminals send them to all processes. The second one ends the process, so that one that hangs can be
+    ended.
     """
-    signal.signal(signal.SIGTERM, lambda number, _: signal.signal(number, signal.SIG_DFL))
+    for asked in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(asked, lambda number, _: signal.signal(number, signal.SIG_DFL))

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 import torch
 from torch.utils.data import Subset
@@ -87,7 +88,8 @@ def plan(
 
     Raises:
         InputError: the data cannot be read or is not plausible, there are too few pairs, the model cannot be
-            fine-tuned, or ``out`` has files that are not those of a fine-tuning.
+            fine-tuned, or ``out`` has files that are not those of a fine-tuning, or the run of other data, options or
+            weights. Nothing in ``out`` is changed then.
     """
     options = options or FinetuneOptions()
     options = replace(options, init=init or options.init, steps=options.steps if steps is None else steps)
@@ -152,6 +154,7 @@ def plan(
         check="off",  # it has been looked at
     )
     out.mkdir(parents=True, exist_ok=True)
+    _check_run(chosen, data, model, out)
     write_image(out / "data.jpg", data_sheet(samples[:8]))
     return Plan(
         chosen, dict(data), surveys, broken, init, tuple(sorted(wanted - known)),
@@ -181,17 +184,14 @@ def finetune(
         Name of a data set → what was measured on its held-out pairs, before and after.
 
     Raises:
-        InputError: ``out`` has the result or the run of other data, options or weights.
+        InputError: ``out`` has the run of other data, options or weights.
     """
     model = load_network(plan.init)
     start = out / INITIAL
     assert isinstance(model, ZoeDepth)  # there is no plan for other models
     assert isinstance(plan.config.model, ModelConfig)
-    save_model(extended(model, plan.config.model), start)
-    if existing := checkpoints(out / "run"):
-        opened = {source.name: open_source(source, plan.data[source.name]) for source in plan.config.sources}
-        identity = identity_of(opened, plan.data, str(start))
-        check_same(existing[-1], plan.config, identity, besides=["domain_weight"])  # which is chosen below
+    if not (start.is_file() and checkpoints(out / "run")):  # else they are the weights that the run began with
+        save_model(extended(model, plan.config.model), start)
     before = {name: _measure(str(start), name, plan, "before") for name in plan.data}
     config = plan.config
     if any(summary.router is not None and summary.router < ROUTER_RIGHT for summary in before.values()):
@@ -216,6 +216,19 @@ def _check_out(out: Path, data: Mapping[str, str]) -> None:
             f"--out {out} has {', '.join(clash)}, and no fine-tuning has written it: choose another folder, or move "
             "these files away"
         )
+
+
+def _check_run(config: TrainConfig, data: Mapping[str, str], model: ZoeDepth, out: Path) -> None:
+    """Check that the run in ``out``, if there is one, is of this configuration, this data and this model."""
+    existing = checkpoints(out / "run")
+    if not existing or not isinstance(config.model, ModelConfig):
+        return
+    opened = {source.name: open_source(source, data[source.name]) for source in config.sources}
+    with TemporaryDirectory(dir=out, prefix=".") as folder:
+        start = Path(folder) / INITIAL
+        save_model(extended(model, config.model), start)
+        identity = identity_of(opened, data, str(out / INITIAL), start=str(start))
+    check_same(existing[-1], config, identity, besides=["domain_weight"])  # which is chosen when it has been measured
 
 
 def _look(

@@ -23,16 +23,17 @@ def data_state(dataset: Samples, source: str) -> str:
         dataset: the data set.
         source: where it is, as it was given.
     """
-    digest = hashlib.sha256(str(settings_fingerprint(source)).encode())
+    digest = hashlib.sha256(str(settings_fingerprint(source, dataset)).encode())
     if isinstance(dataset, PairDataset | PublishedDataset):
         for pair in dataset.pairs:
             digest.update(repr(pair).encode())
             _add(digest, pair.files)
+    elif isinstance(dataset, ShardDataset):
+        digest.update(dataset.index.to_json().encode())
+        _add(digest, dataset.files)
+    elif isinstance(dataset, HuggingFaceDataset):
+        _add(digest, dataset.files)
     else:
-        if isinstance(dataset, ShardDataset):
-            digest.update(dataset.index.to_json().encode())
-        if isinstance(dataset, HuggingFaceDataset):
-            _add(digest, dataset.files)
         path = Path(source)
         _add(digest, sorted(path.rglob("*")) if path.is_dir() else [path])
     return digest.hexdigest()[:16]

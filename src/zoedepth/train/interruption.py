@@ -4,6 +4,7 @@ import signal
 import threading
 from typing import TYPE_CHECKING
 
+from zoedepth.errors import Terminated
 from zoedepth.train.processes import anywhere
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ class Interruption:
     """
 
     def __init__(self) -> None:
-        self._noted = False
+        self._noted: int | None = None
         self._handlers = {}
 
     def __enter__(self) -> "Interruption":
@@ -32,8 +33,12 @@ class Interruption:
 
     def asked(self, fabric: "Fabric") -> bool:
         """Return True if any process was asked to end: all of them have to stop after the same step."""
-        return anywhere(self._noted, fabric.device)
+        return anywhere(self._noted is not None, fabric.device)
+
+    def error(self, text: str) -> KeyboardInterrupt:
+        """Return the error with which the run ends: that of SIGTERM where this process got it, else that of Ctrl-C."""
+        return Terminated(text) if self._noted == signal.SIGTERM else KeyboardInterrupt(text)
 
     def _note(self, number: int, _: object) -> None:
-        self._noted = True
+        self._noted = number
         signal.signal(number, self._handlers[number])

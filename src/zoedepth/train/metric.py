@@ -44,7 +44,7 @@ def train_metric(
     Raises:
         InputError: data, starting weights or checkpoint do not suit the configuration.
         TrainingError: loss or gradients are not finite; the error names the images.
-        KeyboardInterrupt: Ctrl-C or SIGTERM came; the step was finished and is saved.
+        KeyboardInterrupt: Ctrl-C came, or SIGTERM (``Terminated``); the step was finished and is saved.
     """
     fabric = launch_fabric(config, devices=devices, n_nodes=n_nodes)
     with set_up(config, fabric, part=lambda model: model, data=data, out=out, init=init) as run:

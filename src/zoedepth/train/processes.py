@@ -70,7 +70,8 @@ def resolve(precision: Precision) -> Literal["bf16-mixed", "16-mixed", "32-true"
     if precision != "auto":
         return precision
     if torch.cuda.is_available():
-        return "bf16-mixed" if torch.cuda.is_bf16_supported() else "16-mixed"
+        # GPUs before Ampere, such as the T4, emulate it, slower than float32.
+        return "bf16-mixed" if torch.cuda.is_bf16_supported(including_emulation=False) else "16-mixed"
     if torch.backends.mps.is_available():
         return "32-true"
     return "bf16-mixed" if torch.ops.mkldnn._is_mkldnn_bf16_supported() else "32-true"

@@ -22,7 +22,8 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
         batch: the last batch of the step, for the pictures where nothing is held out.
 
     Raises:
-        KeyboardInterrupt: the run was asked to end; the checkpoint of this step is written.
+        KeyboardInterrupt: the run was asked to end, after its last step, too, since its caller may have more to do; the
+            checkpoint of this step is written.
         InputError: too many samples turned out to be broken.
     """
     _tell_broken(run)
@@ -39,9 +40,9 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
                 _validate_and_draw(run, batch)
             if step % config.checkpoint_every == 0 or last or interrupted:
                 run.state.save(run.out, config, run.identity)
-    if interrupted and not last:
+    if interrupted:
         run.fabric.barrier()
-        raise KeyboardInterrupt(f"step {step} is saved; the same command goes on from there")
+        raise run.interruption.error(f"step {step} is saved; the same command goes on from there")
 
 
 def _tell_broken(run: Run) -> None:

@@ -87,7 +87,6 @@ def set_up(
         InputError: data, starting weights or checkpoint do not suit the configuration, or belong to another run.
     """
     fabric.seed_everything(config.seed, workers=True, verbose=False)
-    data = {name: _tidy(path) for name, path in data.items()}
     finished = checkpoints(out)
     if not finished:
         check_log(out)
@@ -110,7 +109,7 @@ def set_up(
     plain = build_optimizer(network, config.optim)
     network, optimizer = fabric.setup(network, plain)
     # Behind it, where the weights are on their device: what an optimizer loads goes to where they are by then.
-    state = TrainState(model, plain, averaged(model, config.ema_decay))
+    state = TrainState(model, plain, averaged(model, config.ema_decay), fabric.strategy.precision)
     if finished:
         state.load(finished[-1], config, identity)
     batches = load_batches(config, fabric, training, first_step=state.step)
@@ -160,9 +159,10 @@ def identity_of(
     whole: dict[str, Any] = {
         name: samples.dataset if isinstance(samples, Subset) else samples for name, samples in opened.items()
     }
+    places = {name: _tidy(place) for name, place in sorted(data.items())}
     return {
-        "data": {name: str(path) for name, path in sorted(data.items())},
-        "data_state": {name: data_state(whole[name], str(data[name])) for name in sorted(whole)},
+        "data": places,
+        "data_state": {name: data_state(whole[name], places[name]) for name in sorted(whole)},
         "init": start_state(init, start=start),
     }
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
@@ -21,6 +21,9 @@ from zoedepth.model.interface import DepthModel
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.identity import same_start
 from zoedepth.weights.save import save_model
+
+if TYPE_CHECKING:
+    from lightning_fabric.plugins import Precision
 
 _HARMLESS = frozenset({
     "n_workers", "log_every", "validate_every", "checkpoint_every", "keep_checkpoints", "pictures", "check",
@@ -41,13 +44,15 @@ class TrainState:
     model: DepthModel
     optimizer: torch.optim.Optimizer
     ema: AveragedModel | None
+    precision: "Precision | None" = None
+    """Fabric's precision: that of float16 has a state, the factor of the loss."""
     step: int = 0
     """Number of optimizer steps taken."""
     task_weights: Tensor | None = None
     """Stage 1: the last solution for the weights of the data sets."""
-    begun: tuple[Tensor, Tensor | None, list[tuple[Tensor, Tensor]]] | None = None
-    """Random numbers, ``task_weights``, and (buffer, copy) of batch norms that learn, when the step at hand began; None
-    between two steps."""
+    begun: tuple[tuple[Tensor, Tensor | None], Tensor | None, list[tuple[Tensor, Tensor]]] | None = None
+    """Random numbers of processor and GPU, ``task_weights``, and (buffer, copy) of batch norms that learn, when the
+    step at hand began; None between two steps."""
     whole: bool = True
     """False while an optimizer step changes the weights one after another."""
 
@@ -55,7 +60,7 @@ class TrainState:
         """Remember what the step that begins now may change before the optimizer does."""
         norms = [module for module in self.model.modules() if isinstance(module, nn.modules.batchnorm._BatchNorm)]
         buffers = [buffer for norm in norms if norm.training for buffer in norm.buffers()]
-        self.begun = (torch.get_rng_state(), self.task_weights, [(buffer, buffer.clone()) for buffer in buffers])
+        self.begun = (self._random_numbers(), self.task_weights, [(buffer, buffer.clone()) for buffer in buffers])
 
     @contextmanager
     def changing(self) -> Iterator[None]:
@@ -67,8 +72,8 @@ class TrainState:
     def go_back(self) -> bool:
         """Take back what the step at hand has changed before the optimizer; return False if it is too late for that."""
         if self.whole and self.begun is not None:
-            rng, self.task_weights, buffers = self.begun
-            torch.set_rng_state(rng)
+            random_numbers, self.task_weights, buffers = self.begun
+            self._set_random_numbers(*random_numbers)
             for buffer, copy in buffers:
                 buffer.copy_(copy)
         return self.whole
@@ -109,17 +114,28 @@ class TrainState:
             shutil.rmtree(old)
         return final
 
+    def _random_numbers(self) -> tuple[Tensor, Tensor | None]:
+        """Return the state of the generators of random numbers, on the processor and on the GPU if there is one."""
+        return torch.get_rng_state(), torch.cuda.get_rng_state() if _device(self.model).type == "cuda" else None
+
+    def _set_random_numbers(self, processor: Tensor, gpu: Tensor | None) -> None:
+        torch.set_rng_state(processor)
+        if gpu is not None and _device(self.model).type == "cuda":
+            torch.cuda.set_rng_state(gpu)
+
     def _write(self, part: Path, config: TrainConfig, identity: Mapping[str, Any]) -> None:
         part.mkdir(parents=True)
+        processor, gpu = self._random_numbers()
         save_model(self.result, part / "model.safetensors")
         torch.save(
             {
                 "model": self.model.state_dict(),
                 "optimizer": self.optimizer.state_dict(),
                 "ema": self.ema.state_dict() if self.ema is not None else None,
-                "rng": torch.get_rng_state(),
-                "device_rng": torch.cuda.get_rng_state() if _on_gpu(self.model) else None,
+                "rng": processor,
+                "device_rng": gpu,
                 "task_weights": self.task_weights,
+                "precision": {} if self.precision is None else self.precision.state_dict(),
             },
             part / "train.pt",
         )
@@ -151,10 +167,12 @@ class TrainState:
             self.optimizer.load_state_dict(values["optimizer"])
             if self.ema is not None:
                 self.ema.load_state_dict(values["ema"])
-            torch.set_rng_state(values["rng"])
-            if _on_gpu(self.model) and values.get("device_rng") is not None:
-                torch.cuda.set_rng_state(values["device_rng"])
-            self.task_weights = values.get("task_weights")
+            self._set_random_numbers(values["rng"], values.get("device_rng"))
+            weights = values.get("task_weights")
+            self.task_weights = None if weights is None else weights.to(_device(self.model))
+            # Checkpoints of earlier versions have no state of the precision.
+            if self.precision is not None and (precision := values.get("precision")):
+                self.precision.load_state_dict(precision)
             self.step = int(meta["step"])
         except (RuntimeError, KeyError, TypeError, ValueError) as error:
             raise InputError(
@@ -163,8 +181,8 @@ class TrainState:
             ) from error
 
 
-def _on_gpu(model: nn.Module) -> bool:
-    return next(model.parameters()).is_cuda
+def _device(model: nn.Module) -> torch.device:
+    return next(model.parameters()).device
 
 
 def check_same(

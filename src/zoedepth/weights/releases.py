@@ -103,7 +103,7 @@ RELEASES: dict[str, Release] = {
         "Intel/zoedepth-nyu-kitti",
     ),
     "dpt-beit-large-384": Release(
-        "relative depth only (MiDaS v3.1): what to fine-tune from",
+        "relative depth only (MiDaS v3.1): what recipes of training start from",
         "dpt_beit_large_384.pt",
         "1.4 GB",
         "MIT",
