@@ -3,13 +3,13 @@
 import gc
 import os
 import signal
+import sys
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import jaxtyping
 import pytest
 from hypothesis import settings
-from tests.models import random_model
-from torch.utils.data._utils import signal_handling
 
 from zoedepth.config import (
     INDOOR,
@@ -20,7 +20,9 @@ from zoedepth.config import (
     ModelConfig,
     RouterConfig,
 )
-from zoedepth.model.zoedepth import ZoeDepth
+
+if TYPE_CHECKING:
+    from zoedepth.model.zoedepth import ZoeDepth
 
 # `make test` gives fuzz tests the same examples every time; `make fuzz` looks for new ones, and keeps what failed.
 settings.register_profile("repeatable", derandomize=True, database=None, deadline=None, print_blob=True)
@@ -49,6 +51,13 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(autouse=True)
+def same_random_numbers() -> None:
+    """Let a test draw the same numbers whichever tests ran before it in its process."""
+    if "torch" in sys.modules:
+        sys.modules["torch"].manual_seed(0)
+
+
+@pytest.fixture(autouse=True)
 def no_handler_is_left() -> Iterator[None]:
     """Take away the handler of ended children that a DataLoader's processes leave behind.
 
@@ -56,7 +65,8 @@ def no_handler_is_left() -> Iterator[None]:
     child that ends would end the tests.
     """
     yield
-    if signal_handling._SIGCHLD_handler_set:
+    signal_handling = sys.modules.get("torch.utils.data._utils.signal_handling")
+    if signal_handling is not None and signal_handling._SIGCHLD_handler_set:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         signal_handling._SIGCHLD_handler_set = False
 
@@ -86,8 +96,11 @@ def tiny_config() -> ModelConfig:
 
 
 @pytest.fixture
-def tiny_model(tiny_config: ModelConfig) -> ZoeDepth:
+def tiny_model(tiny_config: ModelConfig) -> "ZoeDepth":
     """A random model of ``tiny_config``, the same in every test, in evaluation mode."""
+    # The process that only hands out the tests reads this file, too, and needs no torch.
+    from tests.models import random_model
+
     return random_model(tiny_config)
 
 

@@ -693,6 +693,7 @@ class TestPredictAll:
         with pytest.raises(KeyboardInterrupt):
             consume()
         stems = {outcome.photo.target.name for outcome in told}
+        assert 0 < len(stems) < 20
         assert names(tmp_path / "out") == {f"{stem}{ending}" for stem in stems for ending in ("_depth.png", ".json")}
 
     def test_a_closed_iterator_leaves_no_file_half_written(self, tmp_path: Path) -> None:

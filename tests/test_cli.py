@@ -278,7 +278,7 @@ def test_what_a_command_returns_is_the_exit_code(monkeypatch: pytest.MonkeyPatch
 
 def test_module_is_the_command(tmp_path: Path) -> None:
     process = subprocess.run(
-        [sys.executable, "-m", "zoedepth", "evaluate", "--data", "nowhere.csv", "--model", "nowhere.safetensors"],
+        [sys.executable, "-m", "zoedepth", "predict", "nowhere.jpg", "--out", "out"],
         capture_output=True,
         text=True,
         cwd=tmp_path,
@@ -286,7 +286,7 @@ def test_module_is_the_command(tmp_path: Path) -> None:
     )
     assert process.returncode == 2
     assert process.stdout == ""
-    assert "nowhere.csv" in process.stderr
+    assert "nowhere.jpg" in process.stderr
     assert "Traceback" not in process.stderr
 
 

@@ -14,40 +14,41 @@ from zoedepth.weights.load import load_model
 TORCH = {"torch"}
 LATER = {
     "timm", "torchvision", "lightning", "lightning_fabric", "tensorboard", "matplotlib", "skimage", "scipy", "gradio",
-    "fastapi", "uvicorn", "onnx", "onnxruntime", "openvino", "transformers", "cv2", "beartype",
+    "fastapi", "uvicorn", "onnx", "onnxruntime", "openvino", "transformers", "cv2", "beartype", "huggingface_hub",
 }  # fmt: skip
 """What costs time to import and is not needed until something is used."""
 
 
-def modules_after(code: str) -> set[str]:
-    """Top-level modules that a fresh interpreter holds after running ``code``."""
-    report = f"import contextlib, io\nwith contextlib.redirect_stdout(io.StringIO()):\n    {code}\n"
-    report += "import sys; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
+CHEAP = [
+    "import zoedepth",
+    "zoedepth.ModelConfig, zoedepth.InputError, dir(zoedepth)",
+    "import zoedepth.config, zoedepth.presets, zoedepth.recipes, zoedepth.errors, zoedepth.sizes",
+    "import zoedepth.cli",
+    "assert zoedepth.cli.main(['--help']) == 0",
+    "assert zoedepth.cli.main(['--version']) == 0",
+    "import zoedepth.commands.predict, zoedepth.commands.benchmark, zoedepth.runtimes.fast",
+    "from zoedepth import Predictor, load_model",
+    "from zoedepth.weights import hub; hub.is_hub_id('zoed-lite')",
+]
+"""Code that costs nothing, and what needs torch behind it. One process runs all of it: to start one takes longer."""
+WITH_TORCH = "from zoedepth import ZoeDepth"
 
 
-@pytest.mark.parametrize(
-    "code",
-    [
-        "import zoedepth",
-        "import zoedepth; zoedepth.ModelConfig, zoedepth.InputError, dir(zoedepth)",
-        "import zoedepth.config, zoedepth.presets, zoedepth.recipes, zoedepth.errors, zoedepth.sizes",
-        "import zoedepth.cli",
-        "from zoedepth.cli import main; assert main(['--help']) == 0",
-        "from zoedepth.cli import main; assert main(['--version']) == 0",
-        "import zoedepth.commands.predict, zoedepth.commands.benchmark, zoedepth.runtimes.fast",
-        "from zoedepth import Predictor, load_model",
-    ],
-)
-def test_cheap_imports_and_help_need_neither_torch_nor_anything_heavy(code: str):
-    assert modules_after(code) & (TORCH | LATER) == set()
+def modules_after(codes: list[str]) -> list[set[str]]:
+    """Return the top-level modules that a fresh interpreter holds after running each code in turn."""
+    lines = ["import contextlib, io, sys"]
+    for code in codes:
+        lines += ["with contextlib.redirect_stdout(io.StringIO()):", f"    {code}"]
+        lines += ["print(*sorted({name.partition('.')[0] for name in sys.modules}))"]
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=True)
+    return [set(line.split()) for line in done.stdout.splitlines()]
 
 
-def test_loading_code_of_the_model_needs_torch_but_not_what_is_used_later():
-    found = modules_after("from zoedepth import ZoeDepth")
-    assert "torch" in found
-    assert found & LATER == set()
+def test_imports_and_help_are_cheap_and_the_model_needs_torch_but_not_what_is_used_later():
+    *cheap, last = modules_after([*CHEAP, WITH_TORCH])
+    heavy = {code: found & (TORCH | LATER) for code, found in zip(CHEAP, cheap, strict=True)}
+    assert heavy == {code: set() for code in CHEAP}
+    assert last & (TORCH | LATER) == TORCH
 
 
 WITHOUT_TORCH = """
@@ -87,9 +88,3 @@ def test_unknown_name_is_an_attribute_error():
 
 def test_version_is_the_installed_one():
     assert zoedepth.__version__ == version("zoedepth")
-
-
-def test_package_runs_as_a_module():
-    done = subprocess.run([sys.executable, "-m", "zoedepth", "--version"], capture_output=True, text=True, check=False)
-    assert done.returncode == 0
-    assert done.stdout == f"zoedepth {zoedepth.__version__}\n"

@@ -1,5 +1,6 @@
 """Threads of a forward, where torch is imported, where it is not, and where it is imported in between."""
 
+import os
 import platform
 import subprocess
 import sys
@@ -14,7 +15,10 @@ from zoedepth.threads import has_accelerator, thread_count, threads, threads_kep
 def printed(code: str, **environment: str) -> list[str]:
     """The lines that a fresh interpreter, which has not imported torch, prints after running ``code``."""
     code = f"import os, sys\nfrom zoedepth.threads import *\n{code}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    others = {name: value for name, value in os.environ.items() if not name.startswith("OMP_")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**others, **environment}
+    )
     return done.stdout.split()
 
 

@@ -74,7 +74,10 @@ def test_a_swin_is_saved_and_loaded_with_what_it_computes_beside_its_weights(tmp
     model = build(ON_SWIN)
     zoedepth.save_model(model, tmp_path / "newcrfs.safetensors")
     pixels = noise((64, 96), n=1)
-    assert torch.equal(load_model(tmp_path / "newcrfs.safetensors")(pixels).depth, model(pixels).depth)
+    # Sums may round otherwise by how weights lie in memory.
+    torch.testing.assert_close(
+        load_model(tmp_path / "newcrfs.safetensors")(pixels).depth, model(pixels).depth, rtol=1e-4, atol=1e-5
+    )
 
 
 # --- the encoder ------------------------------------------------------------------------------------------------------

@@ -346,7 +346,7 @@ class TestOutput:
     def test_json_is_one_object_with_metrics_and_counts(self, tmp_path: Path, capsys):
         path = write_pairs(tmp_path, n=3, split="test", without_truth=(1,))
         (record,) = run(capsys, "--predictions", write_predictions(tmp_path / "theirs", path), "--data", path)
-        facts = {"router", "alignment", "camera", "fast", "source", "data", "protocols"}
+        facts = {"router", "alignment", "camera", "fast", "source", "data", "protocols", "holes"}
         counts = {"images", "without_truth", "failed"}
         assert set(record) == METRICS | {"boundary_f1", "ause", "coverage1", "coverage2"} | counts | facts
         assert (record["images"], record["without_truth"]) == (2, 1)

@@ -5,6 +5,7 @@ import time
 
 import pytest
 from rich.console import Console
+from tests.servers import PATIENCE
 
 from zoedepth.commands import progress as progress_module
 from zoedepth.commands.progress import download_progress, show_tally, tally_line, track
@@ -122,7 +123,9 @@ def test_the_line_of_a_job_says_what_is_done_failed_and_left() -> None:
 def test_a_job_prints_lines_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zoedepth.commands.progress.EVERY", 0.001)
     tally, shown = Tally(done=3, total=4), io.StringIO()
+    deadline = time.monotonic() + PATIENCE
     with show_tally(tally, "depth", Console(file=shown)):
         while "\n" not in shown.getvalue():
+            assert time.monotonic() < deadline
             time.sleep(0.001)
     assert shown.getvalue().startswith("depth: 3 of 4 done, 0 failed")

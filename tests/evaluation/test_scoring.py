@@ -264,14 +264,25 @@ def test_depth_that_is_no_number_counts_as_nearest_where_its_inverse_is_aligned(
     np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, 1e-3, 10.0]])
 
 
+@pytest.mark.parametrize("protocol", [MEDIAN, DISPARITY], ids=["median", "disparity"])
 @pytest.mark.parametrize("hole", [0.0, math.nan, math.inf, -1.0])
-def test_holes_do_not_decide_on_the_alignment_of_the_others(hole: float) -> None:
-    truth = np.array([[1.0, 2.0, 4.0, 5.0]])
-    found = aligned_depth(prediction_of([[2.0, 4.0, 8.0, hole]]), truth, truth > 0, DISPARITY)
-    nearest = 1e-3 if hole <= 0 or math.isnan(hole) else 10.0
-    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, nearest]], rtol=1e-5)
-    nothing = aligned_depth(prediction_of([[hole] * 4]), truth, truth > 0, DISPARITY)
+def test_holes_do_not_decide_on_the_alignment_of_the_others(hole: float, protocol: Protocol) -> None:
+    truth = np.array([[1.0, 2.0, 4.0, 2.0, 2.0]])
+    found = aligned_depth(prediction_of([[2.0, 4.0, 8.0, hole, hole]]), truth, truth > 0, protocol)
+    counts_as = 10.0 if hole == math.inf else 1e-3
+    np.testing.assert_allclose(found, [[1.0, 2.0, 4.0, counts_as, counts_as]], rtol=1e-5)
+    nothing = aligned_depth(prediction_of([[hole] * 5]), truth, truth > 0, protocol)
     assert np.isfinite(nothing).all()
+
+
+def test_holes_that_are_scored_are_counted() -> None:
+    truth = [[1.0, 2.0, 4.0, 0.0, 0.0]]
+    depth = [[1.0, 0.0, math.nan, 0.0, 3.0]]
+    assert score(prediction_of(depth), sample_of(truth), EVERYWHERE).n_holes == 2
+    relative = score(prediction_of(depth, relative=True), sample_of(truth), DISPARITY)
+    assert relative.n_holes == 1  # a disparity of 0 is far away
+    assert Score.from_json(relative.to_json()) == relative
+    assert score(prediction_of([[1.0] * 5]), sample_of(truth), EVERYWHERE).n_holes == 0
 
 
 def test_disparity_that_is_no_number_counts_as_nearest_and_minus_infinity_as_farthest() -> None:

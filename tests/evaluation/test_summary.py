@@ -125,6 +125,11 @@ def test_domains_that_are_averaged_or_aligned_in_different_ways_are_an_error(cha
         summary_of(score_of(0.1), protocols={"indoor": INDOOR, "outdoor": replace(OUTDOOR, **change)})
 
 
+def test_holes_are_a_share_of_the_scored_pixels() -> None:
+    assert summary_of(score_of(0.1, n_pixels=300, n_holes=30), score_of(0.2), score_of(None)).holes == 30 / 400
+    assert summary_of(score_of(None)).holes == 0
+
+
 def test_order_of_the_scores_does_not_matter_to_the_last_bit() -> None:
     scores = [
         score_of(

@@ -90,6 +90,14 @@ def test_source_without_a_scored_image_was_not_run_and_is_no_best() -> None:
     assert bold(table, "REL") == ["ours"]
 
 
+def test_holes_are_told_below_the_table() -> None:
+    rows = [row_of("theirs", metrics_of(), holes=0.123), row_of("few", metrics_of(), holes=1e-6), row_of("ours", None)]
+    note = results_table(rows, "rooms").note
+    assert "theirs has no depth at 12.3 % of the scored pixels: each of them counts as the nearest depth" in note
+    assert "few has no depth at less than 0.1 %" in note
+    assert "ours" not in note
+
+
 def test_aligned_source_says_so_and_is_not_compared() -> None:
     rows = [
         row_of("a", metrics_of(rel=0.1), alignment="median"),

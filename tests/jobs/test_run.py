@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from tests.jobs.photos import REQUEST, Brightness, contents, entries, run, write_photo, write_photos
+from tests.servers import PATIENCE
 from tests.test_batch import fail_with
 
 from zoedepth import batch
@@ -149,7 +150,9 @@ def test_killed_at_any_moment_it_gives_each_photo_once(tmp_path: Path) -> None:
         process = context.Process(target=run, args=(folder,), kwargs={"out": out})
         process.start()
         wanted = len(entries(out / MANIFEST)) + rng.randrange(3) if (out / MANIFEST).exists() else 1
+        deadline = time.monotonic() + PATIENCE
         while process.is_alive() and not ((out / MANIFEST).exists() and len(entries(out / MANIFEST)) >= wanted):
+            assert time.monotonic() < deadline
             time.sleep(0.001)
         time.sleep(rng.random() * 0.01)
         process.kill()

@@ -951,15 +951,18 @@ class TestFiles:
         assert all(re.fullmatch(r"\s*", inside) for inside in re.findall(r"<script[^>]*>(.*?)</script>", html, re.S))
 
     def test_refers_to_files_that_there_are(self) -> None:
-        served = read_page()
+        served, n_found = read_page(), 0
         for path in FOLDER.glob("*.*"):
             if path.suffix not in (".html", ".js"):
                 continue
             text = path.read_text(encoding="utf-8")
-            for name in re.findall(
+            found = re.findall(
                 r'(?:href|src|data-example|from|\.src =)[= ]?"\.?/?([\w./-]+\.(?:js|css|svg|jpg))"', text
-            ):
+            )
+            n_found += len(found)
+            for name in found:
                 assert f"/{name}" in served, f"{path.name} wants {name}"
+        assert n_found > 10
         assert b"three.js" in served["/three.min.js"].content[:100]
 
     def test_colors_depth_as_the_package_does(self) -> None:

@@ -64,7 +64,9 @@ def test_a_photo_that_is_cut_short_is_told_or_read(kind: str, share: float) -> N
         look_and_decode(content[: int(share * len(content))])
     except Problem as problem:
         kind_of_problem = problem.kind
-    assert kind_of_problem in ("", "unreadable-photo", "unsupported-format")
+    # What is nearly whole some decoders read without a word; of half a photo each of them says that it is one.
+    told = ("unreadable-photo", "unsupported-format")
+    assert kind_of_problem in (told if share <= 0.5 else ("", *told))
 
 
 def test_pixels_are_counted_before_they_are_decoded() -> None:

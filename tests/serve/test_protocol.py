@@ -68,10 +68,14 @@ def test_a_byte_more_is_no_sign_that_the_answer_is_taken(model_file: str) -> Non
         connection.connect(("127.0.0.1", client.port))
         connection.sendall(head.encode() + body)
         deadline = time.monotonic() + PATIENCE
-        while not client.n_stalled:  # 12 MB are more than the buffers of the system hold
+        # 12 MB are more than the buffers of the system hold. On a busy machine it may be cut off before that is seen.
+        came = False
+        while not client.n_stalled and not (came and not client.n_connections):
+            came = came or client.n_connections > 0
             assert time.monotonic() < deadline
             time.sleep(0.01)
-        connection.sendall(b"G")
+        with suppress(ConnectionError):
+            connection.sendall(b"G")
         while client.n_connections:
             assert time.monotonic() < deadline
             time.sleep(0.01)

@@ -30,7 +30,9 @@ class TestReading:
         dataset = ShardDataset(shards)
         dataset[0]  # its file is open when the workers begin
         loader = DataLoader(dataset, batch_size=None, num_workers=2)
-        assert all(same(got, pairs[i]) for i, got in enumerate(loader))
+        found = list(loader)
+        assert len(found) == len(pairs)
+        assert all(same(got, pairs[i]) for i, got in enumerate(found))
 
     def test_copy_reads_too(self, shards: Path):
         dataset = ShardDataset(shards)

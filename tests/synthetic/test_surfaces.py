@@ -14,7 +14,10 @@ from zoedepth.synthetic.surfaces import Met, albedo, cross, dot, linear, materia
 from zoedepth.synthetic.textures import Surface
 from zoedepth.synthetic.trace import Tracer
 
-RNG = np.random.default_rng(5)
+
+def some_numbers() -> np.random.Generator:
+    """Return a generator that draws the same numbers in every test."""
+    return np.random.default_rng(5)
 
 
 def met_along(scene: Scene, origins: ArrayLike, directions: ArrayLike, *, smooth: bool = True) -> tuple[Arrays, Met]:
@@ -26,7 +29,8 @@ def met_along(scene: Scene, origins: ArrayLike, directions: ArrayLike, *, smooth
 
 
 def test_products_are_those_of_numpy() -> None:
-    a, b, m = RNG.normal(size=(7, 3)), RNG.normal(size=(7, 3)), RNG.normal(size=(7, 3, 3))
+    rng = some_numbers()
+    a, b, m = rng.normal(size=(7, 3)), rng.normal(size=(7, 3)), rng.normal(size=(7, 3, 3))
     np.testing.assert_allclose(dot(a, b), np.einsum("ij,ij->i", a, b))
     np.testing.assert_allclose(cross(a, b), np.cross(a, b))
     np.testing.assert_allclose(norm(a), np.linalg.norm(a, axis=1))
@@ -98,7 +102,7 @@ def places(seen: list[Surface], material: Material, origins: list, directions: l
     scene = Scene()
     scene.at(1, 5, 2, math.pi / 2).add("box", material, (4, 2, 1), (0, 0, 0))  # x 0 to 2, y 3 to 7, z 2 to 3
     arrays, met = met_along(scene, np.array(origins), np.array(directions))
-    albedo(arrays, material_table(arrays.materials, RNG), met, np.full(len(origins), 0.01, np.float32))
+    albedo(arrays, material_table(arrays.materials, some_numbers()), met, np.full(len(origins), 0.01, np.float32))
     return seen.pop()
 
 
@@ -120,7 +124,7 @@ def test_grain_runs_along_the_longer_side(seen: list[Surface]) -> None:
     scene = Scene()
     scene.at(0, 5).add("box", tall, (1, 1, 3), (0, 0, -1.5))
     arrays, met = met_along(scene, np.zeros((1, 3)), np.array([(0.05, 1, 0.2)]))
-    albedo(arrays, material_table(arrays.materials, RNG), met, np.full(1, 0.01, np.float32))
+    albedo(arrays, material_table(arrays.materials, some_numbers()), met, np.full(1, 0.01, np.float32))
     found = seen.pop()
     np.testing.assert_allclose([found.u[0], found.v[0]], [0.9, 0.225], atol=1e-5)
     np.testing.assert_allclose([found.half_u[0], found.half_v[0]], [1.5, 0.5])
@@ -140,7 +144,7 @@ def test_each_hit_gets_the_colour_of_its_part() -> None:
     for x, color in zip((-1, 1), colors, strict=True):
         scene.at(x, 5).add("box", Material("plain", color, mirror=0.2 * (x + 1)), (1, 1, 4), (0, 0, -2))
     arrays, met = met_along(scene, np.zeros((2, 3)), np.array([(0.2, 1, 0), (-0.2, 1, 0)]))
-    found, mirror = albedo(arrays, material_table(arrays.materials, RNG), met, np.full(2, 0.01, np.float32))
+    found, mirror = albedo(arrays, material_table(arrays.materials, some_numbers()), met, np.full(2, 0.01, np.float32))
     expected = linear(np.array(colors[::-1]))
     np.testing.assert_allclose(found, expected, rtol=0.15)  # plain varies from 0.92 to 1.08
     np.testing.assert_allclose(mirror, [0.4, 0], atol=1e-6)

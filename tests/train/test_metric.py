@@ -208,6 +208,18 @@ def test_batches_of_one_data_set_each_alternate(
     assert read_domains == [*["indoor"] * 3, *["outdoor"] * 3] * 2
 
 
+def test_each_data_set_has_its_own_lines_where_they_alternate(
+    make_config: MakeConfig, data: Data, tmp_path: Path
+) -> None:
+    """Else every second step would always tell of the same one, under a name that says nothing of it."""
+    train_metric(make_config(mix_by="batch", steps=5, log_every=2), data=data, out=tmp_path, init=None)
+    told = [(line["step"], name) for line in log_of(tmp_path) for name in line if name.startswith("train/silog")]
+    assert told == [
+        (2, "train/silog/outdoor"), (3, "train/silog/indoor"), (4, "train/silog/outdoor"), (5, "train/silog/indoor"),
+    ]  # fmt: skip
+    assert "train/domain/indoor" in log_of(tmp_path)[1]
+
+
 # ---------------------------------------------------------------------------------------------------- the same again
 
 

@@ -244,7 +244,7 @@ def test_copies_and_pickles_load_the_file_again(file: Path, tmp_path: Path):
         model = load_exported(path, threads=1)
         for other in (pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):
             assert type(other) is type(model)
-            assert torch.equal(other(pixels).depth, model(pixels).depth)
+            torch.testing.assert_close(other(pixels).depth, model(pixels).depth, rtol=1e-4, atol=1e-5)
     assert pickle.loads(pickle.dumps(load_exported(tmp_path / "model.xml", streams=2))).options["streams"] == 2
 
 

@@ -302,6 +302,7 @@ def _record(summary: "Summary") -> dict:
         "failed": summary.n_failed,
         "router": summary.router,
         "alignment": summary.alignment,
+        "holes": summary.holes,
         "camera": summary.camera,
         "fast": summary.fast,
     }

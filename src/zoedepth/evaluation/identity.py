@@ -5,11 +5,13 @@ that may have changed since under the same names. Weights and settings are known
 data set by their sizes and times.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from zoedepth import __version__
 from zoedepth.data.facts import DEFAULTS_FILE
+from zoedepth.data.huggingface import HuggingFaceDataset
+from zoedepth.data.lists import Pair
 from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
 from zoedepth.datasets.published import PublishedDataset
@@ -27,6 +29,27 @@ def settings_fingerprint(source: str, dataset: Samples | None = None) -> str | N
     path = dataset.folder if isinstance(dataset, ShardDataset) else Path(source)
     settings = (path if path.is_dir() else path.parent) / DEFAULTS_FILE
     return content(settings) if settings.is_file() else None
+
+
+def said_and_files(dataset: Samples, source: str) -> Iterator[tuple[list[object], list[Path]]]:
+    """Yield what is said of the samples of a data set, and their files: pair by pair where it has pairs.
+
+    Data that has no files, such as rendered scenes, yields nothing: it is known by its address.
+
+    Args:
+        dataset: the data set.
+        source: where it is, as it was given.
+    """
+    if isinstance(dataset, PairDataset | PublishedDataset):
+        for pair in dataset.pairs:
+            facts = [pair.kind, pair.scale, pair.domain, pair.max_depth, pair.camera] if isinstance(pair, Pair) else []
+            yield list(facts), list(pair.files)
+    elif isinstance(dataset, ShardDataset):
+        yield [dataset.index.to_json()], dataset.files
+    elif isinstance(dataset, HuggingFaceDataset):
+        yield [file.parent.name for file in dataset.files], dataset.files  # the folder's name has the revision
+    elif Path(source).exists():
+        yield [], sorted(Path(source).rglob("*")) if Path(source).is_dir() else [Path(source)]
 
 
 class Stamps:

@@ -38,6 +38,8 @@ class Score:
     """Scores of the model's own uncertainty, where it has one and its depth is not aligned."""
     boundary_f1: float | None = None
     """Agreement of depth edges, where the truth is dense enough to have any."""
+    n_holes: int = 0
+    """Scored pixels without a depth in the prediction: it is 0 there, or no number."""
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values, from which ``from_json`` makes an equal score."""
@@ -57,6 +59,7 @@ class Score:
             tuple(Sums(**entry) for entry in values["ranges"]),
             None if uncertainty is None else UncertaintyScores(**uncertainty),
             values["boundary_f1"],
+            values.get("n_holes", 0),  # scores of earlier versions do not count them
         )
 
 
@@ -87,7 +90,14 @@ def score(prediction: Prediction, sample: Sample, protocol: Protocol) -> Score:
         std = resize_depth(prediction.std, truth.shape)
         uncertainty = score_uncertainty(found, known, std[scored])
     edges = boundary_f1(depth, truth, scored)
-    return Score(sample.name, sample.domain, prediction.domain, sums, ranges, uncertainty, edges)
+    n_holes = int((scored & ~_has_depth(prediction, truth.shape)).sum())
+    return Score(sample.name, sample.domain, prediction.domain, sums, ranges, uncertainty, edges, n_holes)
+
+
+def _has_depth(prediction: Prediction, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
+    """Return False where a prediction has no depth: where it is not finite, or, in metres, not above 0."""
+    depth = resize_depth(prediction.depth, size)
+    return np.isfinite(depth) & (prediction.relative | (depth > 0))
 
 
 def scored_pixels(sample: Sample, protocol: Protocol) -> Bool[np.ndarray, "height width"]:
@@ -113,15 +123,14 @@ def aligned_depth(
     if prediction.relative and protocol.alignment != "disparity":
         raise InputError("relative depth has no metres: score it with --align disparity")
     # As released: NaN counts as the nearest depth, infinity as the farthest. Neither they nor holes, which are 0 in
-    # maps of depth, decide on the fit: one inverse depth of 1e6 would outweigh all others.
+    # maps of depth, decide on the alignment: one inverse depth of 1e6 would outweigh all others.
+    has_depth = scored & _has_depth(prediction, truth.shape)
     if protocol.alignment == "disparity":
-        known = scored & np.isfinite(depth) & (prediction.relative | (depth > 0))
         inverse = depth if prediction.relative else 1 / np.maximum(depth, 1e-6)
         inverse = np.nan_to_num(inverse, nan=1 / low, posinf=1 / low, neginf=0.0)
         wanted = 1 / np.maximum(truth, 1e-6)
         # A disparity of 0 or less is infinitely far.
-        depth = 1 / np.maximum(align_least_squares(inverse, wanted, known if known.any() else scored), 1 / high)
+        depth = 1 / np.maximum(align_least_squares(inverse, wanted, has_depth if has_depth.any() else scored), 1 / high)
     if protocol.alignment == "median":  # before that, since its unit may be any
-        known = scored & np.isfinite(depth)
-        depth = align_median(depth, truth, known) if known.any() else depth
+        depth = align_median(depth, truth, has_depth) if has_depth.any() else depth
     return np.nan_to_num(depth, nan=low, posinf=high, neginf=low).clip(low, high)

@@ -46,6 +46,9 @@ class Summary:
     """Mean over the images whose truth is dense enough; None where there are none."""
     alignment: str
     """"none", or how the prediction was aligned with the truth first."""
+    holes: float = 0.0
+    """Share of the scored pixels for which the prediction has no depth. They are scored as the nearest depth there is
+    (infinity: as the farthest)."""
     camera: str = "none"
     """"none", or "data" where the model was told the camera that the data set says."""
     fast: str = ""
@@ -113,6 +116,7 @@ def summarise(
         uncertainty=_uncertainty(scored),
         boundary_f1=fmean(edges) if edges else None,
         alignment=alignment,
+        holes=_holes(scored),
         camera=camera,
         fast=fast,
     )
@@ -124,6 +128,11 @@ def _means(scored: Sequence[Score]) -> tuple[Metrics | None, Metrics | None]:
     if not sums:
         return None, None
     return mean_metrics([one.metrics() for one in sums]), pooled_metrics(sums)
+
+
+def _holes(scored: Sequence[Score]) -> float:
+    n_pixels = sum(score.sums.n_pixels for score in scored if score.sums is not None)
+    return sum(score.n_holes for score in scored) / n_pixels if n_pixels else 0.0
 
 
 def _uncertainty(scored: Sequence[Score]) -> dict[str, float]:

@@ -131,16 +131,16 @@ def results_table(
         best_only: show the sources' own rows, and the one with the lowest REL, alone from the paper.
     """
     lines = [_our_line(summary) for summary in summaries]
-    note = ""
+    notes = [_holes(summary) for summary in summaries if summary.holes > 0]
     if paper:
         sources = {summary.source.lower() for summary in summaries}
         shown = _best_rows(paper, sources) if best_only else paper
         lines += [_paper_line(method, numbers, run=method.lower() in sources) for method, numbers in shown]
         lines.sort(key=lambda line: (line.aligned, line.rel))
         theirs = f"{data}#{PROTOCOLS[data].hash}" if data in PROTOCOLS else "its own"
-        note = f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."
+        notes += [f"(paper): as printed there, on its own images under its protocol, {theirs}; {NOT_RUN}: by us, here."]
         if len(shown) < len(paper):
-            note += f" The paper has {len(paper)} rows: --with-paper all."
+            notes += [f"The paper has {len(paper)} rows: --with-paper all."]
     comparable = [i for i, line in enumerate(lines) if line.metrics is not None and not line.aligned]
     best = set()
     for j, name in enumerate(COLUMNS, start=2):
@@ -152,7 +152,15 @@ def results_table(
     kind = {summary.mean for summary in summaries}
     title = f"{data}: protocol {', '.join(labels)}; mean over {' and '.join(sorted(kind))}"
     header = ("source", "images", *(HEADINGS[name] for name in COLUMNS), "router")
-    return ReportTable(title, header, tuple(line.cells for line in lines), frozenset(best), note, data)
+    return ReportTable(title, header, tuple(line.cells for line in lines), frozenset(best), " ".join(notes), data)
+
+
+def _holes(summary: Summary) -> str:
+    share = f"{100 * summary.holes:.1f} %" if summary.holes >= 0.001 else "less than 0.1 %"
+    return (
+        f"{summary.source} has no depth at {share} of the scored pixels: each of them counts as the nearest depth, or, "
+        "where it is infinite, as the farthest."
+    )
 
 
 class _Line(NamedTuple):

@@ -7,16 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from zoedepth.config import ModelConfig, to_dict
-from zoedepth.data.huggingface import HuggingFaceDataset
-from zoedepth.data.lists import Pair
-from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
-from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import settings_fingerprint
+from zoedepth.evaluation.identity import said_and_files, settings_fingerprint
 from zoedepth.opening import open_dataset
 from zoedepth.reproduction.scale import Scale
 from zoedepth.reproduction.tables import Row, Table, rows_of
-from zoedepth.shards.dataset import ShardDataset
 from zoedepth.train.config import TrainConfig
 from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 from zoedepth.weights.load import find
@@ -148,20 +143,11 @@ def content_of(dataset: Samples, source: str) -> str:
         source: where it is, as it was given.
     """
     digest = hashlib.sha256(f"{settings_fingerprint(source, dataset)} {len(dataset)}".encode())
-    if isinstance(dataset, PairDataset | PublishedDataset):
-        for pair in dataset.pairs:
-            facts: list[object] = [(file.name, _size(file)) for file in pair.files]
-            if isinstance(pair, Pair):
-                facts += [pair.kind, pair.scale, pair.domain, pair.max_depth, pair.camera]
-            digest.update(repr(facts).encode("utf-8", "replace"))
-    elif isinstance(dataset, ShardDataset):
-        digest.update(dataset.index.to_json().encode())
-    elif isinstance(dataset, HuggingFaceDataset):  # the name of a file's folder has the revision
-        digest.update(repr([(file.parent.name, file.name, _size(file)) for file in dataset.files]).encode())
-    elif Path(source).exists():
-        files = sorted(Path(source).rglob("*")) if Path(source).is_dir() else [Path(source)]
-        digest.update(repr([(file.name, _size(file)) for file in files]).encode("utf-8", "replace"))
-    else:
+    parts = list(said_and_files(dataset, source))
+    for said, files in parts:
+        sizes: list[object] = [(file.name, _size(file)) for file in files]
+        digest.update(repr([*sizes, *said]).encode("utf-8", "replace"))
+    if not parts:
         digest.update(source.encode())
     return digest.hexdigest()[:16]
 

@@ -200,7 +200,7 @@ class TrainConfig:
     pictures: int = 4
     """Samples in the picture of predictions that each validation makes; 0: no picture."""
     log_every: int = 10
-    """Steps between lines of the log."""
+    """Steps between lines of the log. Where data sets take turns batch by batch, each has a line."""
     n_workers: int = 2
     """Processes that read and augment samples; 0: the training does it itself."""
     check: Check = "quick"

@@ -5,12 +5,8 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from zoedepth.data.huggingface import HuggingFaceDataset
-from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Samples
-from zoedepth.datasets.published import PublishedDataset
-from zoedepth.evaluation.identity import settings_fingerprint
-from zoedepth.shards.dataset import ShardDataset
+from zoedepth.evaluation.identity import said_and_files, settings_fingerprint
 from zoedepth.weights.fingerprint import content, file_state
 from zoedepth.weights.hub import WEIGHTS
 from zoedepth.weights.load import find
@@ -24,18 +20,9 @@ def data_state(dataset: Samples, source: str) -> str:
         source: where it is, as it was given.
     """
     digest = hashlib.sha256(str(settings_fingerprint(source, dataset)).encode())
-    if isinstance(dataset, PairDataset | PublishedDataset):
-        for pair in dataset.pairs:
-            digest.update(repr(pair).encode())
-            _add(digest, pair.files)
-    elif isinstance(dataset, ShardDataset):
-        digest.update(dataset.index.to_json().encode())
-        _add(digest, dataset.files)
-    elif isinstance(dataset, HuggingFaceDataset):
-        _add(digest, dataset.files)
-    else:
-        path = Path(source)
-        _add(digest, sorted(path.rglob("*")) if path.is_dir() else [path])
+    for said, files in said_and_files(dataset, source):
+        digest.update(repr(said).encode())
+        _add(digest, files)
     return digest.hexdigest()[:16]
 
 

@@ -15,7 +15,7 @@ from zoedepth.model.zoedepth import DepthOutput
 from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.processes import launch_fabric, total
 from zoedepth.train.report import report
-from zoedepth.train.run import last_checkpoint, set_up
+from zoedepth.train.run import Run, last_checkpoint, set_up
 from zoedepth.train.step import add_means, backward, begin_step, take_step
 
 
@@ -62,13 +62,20 @@ def train_metric(
                 loss = torch.stack(list(terms.values())).sum()
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
-                add_means(numbers, terms, config.accumulate)
+                add_means(numbers, _named(terms, batch, run), config.accumulate)
                 batches.append(batch)
             # Step.
             numbers["gradient_norm"] = take_step(run, batches)
             # Report.
             report(run, numbers, batches[-1])
         return last_checkpoint(run)
+
+
+def _named(terms: Mapping[str, Tensor], batch: Batch, run: Run) -> Mapping[str, Tensor]:
+    """Name the terms after the batch's data set where each has batches of its own: they say nothing of the others."""
+    if run.turns == 1:
+        return terms
+    return {f"{name}/{run.sources[int(batch.source[0])].name}": value for name, value in terms.items()}
 
 
 def metric_losses(

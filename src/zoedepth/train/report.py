@@ -31,7 +31,8 @@ def report(run: Run, numbers: Mapping[str, float], batch: Batch) -> None:
     last = step == config.steps
     interrupted = run.interruption.asked(run.fabric)
     if run.fabric.is_global_zero:
-        if step % config.log_every == 0 or last:
+        # As many lines in a row as data sets have turns: else all lines would be of the same data set.
+        if (step >= config.log_every and step % config.log_every < run.turns) or last:
             rates = {f"rate/{group['name']}": group["lr"] for group in run.optimizer.param_groups}
             train = {f"train/{name}": float(value) for name, value in numbers.items()}
             run.log.write(step, {**train, **rates}, waited=run.batches.take_waited())

@@ -60,6 +60,12 @@ class Run:
     log: Log
     interruption: Interruption
 
+    @property
+    def turns(self) -> int:
+        """Number of steps in which all data sets have had their turns; 1 where they share a batch."""
+        apart = self.config.mix_by == "batch" and len(self.sources) > 1
+        return sum(source.weight for source in self.sources) if apart else 1
+
 
 @contextmanager
 def set_up(

@@ -295,12 +295,12 @@ class HeadTester:
                 changed = other(features)
                 assert not _same(said, changed), f"{name} changes nothing"
 
-    def test_a_whole_model_takes_it_with_any_number_of_domains(self, config: Any, tiny_config: ModelConfig):
+    def test_a_whole_model_takes_it_with_any_number_of_domains(self, tiny_config: ModelConfig):
         pixels = torch.rand(3, 3, 64, 96)
         for n in (1, 3):
             domains = tuple(Domain(f"scene {i}", 1e-3, 10.0 * (i + 1)) for i in range(n))
             torch.manual_seed(0)
-            model = ZoeDepth(replace(tiny_config, head=config, domains=domains)).eval()
+            model = ZoeDepth(replace(tiny_config, head=self.TINY, domains=domains)).eval()
             given = torch.tensor([0, n - 1, 0])
             output = model(pixels, domain=given, return_std=True, return_bins=True)
             assert output.depth.shape == (3, 1, 64, 96)

@@ -184,7 +184,7 @@ def test_code_in_a_file_is_refused_and_not_run(tmp_path: Path, kind: str, writer
         with pytest.raises(InputError, match="refused, nothing of it was executed") as caught:
             read_tensors(tmp_path / f"file{suffix}")
         assert f"file{suffix}" in str(caught.value)
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match="refused, nothing of it was executed"):
             load_model(tmp_path / f"file{suffix}")
     assert not (tmp_path / "sprung").exists()
 
@@ -228,12 +228,19 @@ def test_attributes_in_a_pickle_hide_no_method_that_is_called(tmp_path: Path):
 SOUND = {"torch": lambda path: torch.save(WEIGHTS, path), "safetensors": lambda path: save_file(WEIGHTS, path)}
 
 
+def _places(data: bytes, kind: str) -> Iterator[int]:
+    """Yield the places of all bytes, but in the zeros of a file of torch, between its parts, of every tenth."""
+    for place in range(len(data)):
+        if kind != "torch" or place % 10 == 0 or any(data[max(0, place - 8) : place + 8]):
+            yield place
+
+
 @pytest.mark.parametrize("kind", SOUND)
 def test_file_cut_anywhere_is_refused(tmp_path: Path, kind: str):
     file = tmp_path / "file.pt"
     SOUND[kind](file)
     data = file.read_bytes()
-    for length in range(len(data)):
+    for length in _places(data, kind):
         file.write_bytes(data[:length])
         with pytest.raises(InputError, match=r"file.pt"):
             read_tensors(file)
@@ -245,7 +252,7 @@ def test_file_with_any_byte_wrong_is_read_or_refused(tmp_path: Path, kind: str):
     SOUND[kind](file)
     data = file.read_bytes()
     outcomes = []
-    for place in range(0, len(data), 3 if kind == "torch" else 1):
+    for place in _places(data, kind):
         file.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
         try:
             outcomes.append(all(isinstance(value, Tensor) for value in read_tensors(file)[0].values()))
@@ -255,7 +262,7 @@ def test_file_with_any_byte_wrong_is_read_or_refused(tmp_path: Path, kind: str):
     assert len(set(outcomes)) > 3
 
 
-@pytest.mark.parametrize("content", [bytes(10_000_000), os.urandom(10_000)], ids=["bomb", "random"])
+@pytest.mark.parametrize("content", [bytes(10_000_000), np.random.default_rng(0).bytes(10_000)], ids=["bomb", "random"])
 def test_compressed_archive_is_refused_before_it_is_unpacked(tmp_path: Path, content: bytes):
     with zipfile.ZipFile(tmp_path / "file.pt", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("archive/data.pkl", pickle.dumps({}, 2))
@@ -552,7 +559,12 @@ def edits(draw: st.DrawFn) -> Callable[[bytes], bytes]:
     return apply
 
 
-@settings(max_examples=60, **FUZZ)
+def examples(percent: int) -> int:
+    """Return a part of the number of examples that the profile has: each of these takes a tenth of a second."""
+    return settings.default.max_examples * percent // 100
+
+
+@settings(max_examples=examples(20), **FUZZ)
 @given(layout=LAYOUTS, edit=edits(), data=st.data())
 def test_fuzzed_bytes(valid: Valid, layout: str, edit: Callable[[bytes], bytes], data: st.DataObject):
     path, file = valid.copy(layout)
@@ -562,7 +574,7 @@ def test_fuzzed_bytes(valid: Valid, layout: str, edit: Callable[[bytes], bytes],
     check(path)
 
 
-@settings(max_examples=40, **FUZZ)
+@settings(max_examples=examples(13), **FUZZ)
 @given(edit=edits())
 def test_fuzzed_pickle_in_a_sound_archive(valid: Valid, edit: Callable[[bytes], bytes]):
     """The checksums of the archive are right, so that the pickle itself is read."""
@@ -574,7 +586,7 @@ def test_fuzzed_pickle_in_a_sound_archive(valid: Valid, edit: Callable[[bytes], 
     check(path)
 
 
-@settings(max_examples=40, **FUZZ)
+@settings(max_examples=examples(13), **FUZZ)
 @given(layout=st.sampled_from(["ours", "huggingface"]), edit=edits(), data=st.data())
 def test_fuzzed_header_of_the_right_length(
     valid: Valid, layout: str, edit: Callable[[bytes], bytes], data: st.DataObject
@@ -646,7 +658,7 @@ def changes(draw: st.DrawFn) -> Callable[[Weights], Weights]:
     return apply
 
 
-@settings(max_examples=50, **FUZZ)
+@settings(max_examples=examples(17), **FUZZ)
 @given(layout=LAYOUTS, change=changes())
 def test_fuzzed_weights(valid: Valid, layout: str, change: Callable[[Weights], Weights]):
     path, file = valid.copy(layout)
@@ -696,7 +708,7 @@ def put(values: Any, place: tuple, new: Any, *, drop: bool) -> None:
         values[last] = new
 
 
-@settings(max_examples=50, **FUZZ)
+@settings(max_examples=examples(17), **FUZZ)
 @given(source=st.sampled_from(["ours", "config.json", "preprocessor_config.json"]), data=st.data())
 def test_fuzzed_config(valid: Valid, source: str, data: st.DataObject):
     path, file = valid.copy("ours" if source == "ours" else "huggingface")
@@ -716,7 +728,7 @@ def test_fuzzed_config(valid: Valid, source: str, data: st.DataObject):
     check(path)
 
 
-@settings(max_examples=15, **FUZZ)
+@settings(max_examples=examples(5), **FUZZ)
 @given(name=st.integers(0, 10**6), kind=st.sampled_from(["system", "touch", "eval"]), legacy=st.booleans())
 @example(name=0, kind="touch", legacy=False)
 def test_fuzzed_with_code(valid: Valid, name: int, kind: str, legacy: bool):
