@@ -1,6 +1,7 @@
 """Many photos: nothing is lost, nothing is overwritten, and every photo has its outcome. No network, no console."""
 
 import errno
+import glob
 import json
 import os
 from collections.abc import Callable, Iterator
@@ -149,6 +150,28 @@ class TestFindPhotos:
             (tmp_path / name).touch()
         targets = self.targets(tmp_path / "in" / "**" / "*", out=tmp_path / "out")
         assert targets == {"in/a/1.jpg": "a/1", "in/b/1.JPG": "b/1"}
+
+    def test_glob_finds_what_pythons_own_does(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name in ("a/1.jpg", "a/.2.jpg", "b/1.jpg", "b/c/1.jpg", ".d/1.jpg", "[e]/1.jpg", "1.jpg", "f1.jpg/1.jpg"):
+            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / name).touch()
+        monkeypatch.chdir(tmp_path)
+        for pattern in (
+            "*.jpg",
+            "*/*.jpg",
+            "*/1.jpg",
+            "?/*",
+            "b/*/1.jpg",
+            ".d/*",
+            ".*/*",
+            "[[]e]/*",
+            "none/*/*",
+            "*/*/*",
+        ):
+            for source in (pattern, str(tmp_path / pattern)):
+                expected = sorted(os.path.abspath(path) for path in glob.iglob(source) if os.path.isfile(path))
+                found = [os.path.abspath(photo.path) for photo in find_photos([source], tmp_path / "out").photos]
+                assert found == expected, source
 
     def test_relative_sources(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (tmp_path / "here").mkdir()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from zoedepth.calibration import read_calibration, write_calibration
+from zoedepth.calibration import Distance, Point, read_calibration, write_calibration
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
@@ -134,6 +134,25 @@ class TestCalibrate:
         along_axis = result.calibrate([(0, 0, 1.5 * 2)])
         assert along_ray.calibration.scale == pytest.approx(along_axis.calibration.scale, rel=1e-6)
         assert 1.1 < along_axis.calibration.scale < 1.501
+
+    @pytest.mark.parametrize(
+        ("reading", "along_ray", "named"),
+        [
+            ((10, 5, 3.0), True, "a reading along the ray"),
+            (((10, 5), (40, 5), 2.0), False, "the distance of two points"),
+        ],
+    )
+    def test_what_goes_through_the_camera_needs_a_known_one(
+        self, reading: Point | Distance, along_ray: bool, named: str
+    ) -> None:
+        known = wall()
+        assumed = dataclasses.replace(known, camera=dataclasses.replace(CAMERA, source="assumed"))
+        with pytest.raises(
+            InputError, match=rf"^{named} needs the camera of the photo, .*fov_x.*along the optical axis"
+        ):
+            assumed.calibrate([reading], along_ray=along_ray)
+        assert assumed.calibrate([(10, 5, 3.0)]).calibration is not None
+        assert known.calibrate([reading], along_ray=along_ray).calibration is not None
 
     def test_it_holds_for_other_photos_of_the_camera(self, tmp_path: Path) -> None:
         write_calibration(tmp_path / "camera.json", wall().calibrate([(10, 5, 3.0)]).calibration)

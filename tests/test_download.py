@@ -5,6 +5,7 @@ import hashlib
 import os
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import tempfile
@@ -30,8 +31,10 @@ OTHER = np.random.default_rng(1).bytes(300_000)
 
 class TestCacheHome:
     @pytest.fixture(autouse=True)
-    def clean(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def clean(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+        (tmp_path / "temporary").mkdir()
+        monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
 
     def test_is_the_users(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv("HOME", str(tmp_path))
@@ -52,6 +55,43 @@ class TestCacheHome:
         assert cache_home().parent == Path(tempfile.gettempdir())
         (tmp_path / ".cache").mkdir()  # somebody has filled it before the disk became read-only
         assert cache_home() == tmp_path / ".cache"
+
+    @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has no owners and modes of this kind")
+    def test_a_temporary_one_is_for_the_user_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+        umask = os.umask(0)
+        try:
+            folder = cache_home()
+        finally:
+            os.umask(umask)
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+        assert cache_home() == folder
+        folder.chmod(0o755)
+        assert cache_home() == folder, "others may read it"
+
+    @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has no owners and modes of this kind")
+    @pytest.mark.parametrize(
+        ("made", "problem"),
+        [("link", "is a link"), ("open", "can be written to by other users"), ("theirs", "belongs to another user")],
+    )
+    def test_one_that_somebody_else_has_made_is_refused(
+        self, made: str, problem: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+        folder = tmp_path / "temporary" / f"zoedepth-{os.getuid() + (made == 'theirs')}"
+        if made == "link":
+            (tmp_path / "elsewhere").mkdir(mode=0o700)
+            folder.symlink_to(tmp_path / "elsewhere")
+        else:
+            folder.mkdir()
+            folder.chmod(0o777 if made == "open" else 0o700)
+        if made == "theirs":  # the folder is this user's, and the name is that of the user who asks
+            another = os.getuid() + 1
+            monkeypatch.setattr(os, "getuid", lambda: another)
+        with pytest.raises(InputError, match=rf"{folder}, .* {problem}.*XDG_CACHE_HOME.*HF_HOME"):
+            cache_home()
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "mine"))
+        assert cache_home() == tmp_path / "mine"
 
 
 @pytest.mark.parametrize("number", [errno.EACCES, errno.EROFS])

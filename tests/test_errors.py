@@ -12,6 +12,8 @@ from zoedepth.errors import (
     MissingExtraError,
     TrainingError,
     ZoeDepthError,
+    first_line,
+    is_no_memory,
     no_such,
     similar,
 )
@@ -23,6 +25,34 @@ from zoedepth.errors import (
 def test_one_family(kind: type[Exception], builtin: type[Exception]) -> None:
     assert issubclass(kind, ZoeDepthError)
     assert issubclass(kind, builtin)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError(),
+        RuntimeError("CUDA out of memory. Tried to allocate 2 GiB"),
+        RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory: you tried"),
+        RuntimeError("[ONNXRuntimeError] : 6 : Failed to allocate memory for requested buffer of size 400"),
+        RuntimeError("std::bad_alloc"),
+        OSError(12, "Cannot allocate memory"),
+    ],
+)
+def test_too_little_memory_is_known_by_the_words_of_every_library(error: Exception) -> None:
+    assert is_no_memory(error)
+
+
+@pytest.mark.parametrize(
+    "error", [InputError("out of memory.png is damaged"), RuntimeError("Can't allocate registers")]
+)
+def test_other_errors_are_not_taken_for_too_little_memory(error: Exception) -> None:
+    assert not is_no_memory(error)
+
+
+def test_the_first_line_of_an_error_is_short_and_never_empty() -> None:
+    assert first_line(ValueError("\none\ntwo")) == "one"
+    assert first_line(ValueError("")) == "ValueError"
+    assert len(first_line(ValueError("x" * 1000))) == 200
 
 
 def test_a_missing_extra_says_how_to_install_it_on_both_sides_of_a_process_border() -> None:

@@ -15,6 +15,7 @@ import torch
 from PIL import Image, PngImagePlugin
 from tests import bombs
 
+from zoedepth import images
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.images import (
     FORMATS,
@@ -190,6 +191,19 @@ class TestReadImage:
                 except InputError:
                     n_refused += 1
         assert n_refused > 20
+
+    @pytest.mark.parametrize("step", ["load_upright", "as_array"])
+    def test_too_little_memory_is_no_damage(self, step: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        Image.new("RGB", (8, 8)).save(tmp_path / "photo.png")
+
+        def full(*_: object) -> object:
+            raise MemoryError
+
+        monkeypatch.setattr(images, step, full)
+        with pytest.raises(MemoryError):
+            read_image(tmp_path / "photo.png")
+        with pytest.raises(MemoryError):
+            to_image(Image.new("RGB", (8, 8)))
 
     def test_rubbish(self, tmp_path: Path) -> None:
         path = tmp_path / "notes.jpg"

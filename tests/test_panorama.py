@@ -1,6 +1,7 @@
 """Panoramas from photo to distances, by a predictor that reads them from the colours, and by a tiny model."""
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
@@ -146,6 +147,31 @@ def test_a_file_that_says_it_is_a_panorama_is_one(tmp_path: Path) -> None:
         assert is_sphere(file)
     assert not is_sphere(tmp_path / "strip.jpg")
     assert not is_sphere(tmp_path / "photo.jpg")
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ({"ProjectionType": "cylindrical"}, False),
+        ({"CroppedAreaImageWidthPixels": 80, "FullPanoWidthPixels": 160, "CroppedAreaImageHeightPixels": 40,
+          "FullPanoHeightPixels": 80}, False),
+        ({"CroppedAreaImageHeightPixels": 40, "FullPanoHeightPixels": 80}, False),
+        ({"ProjectionType": "Equirectangular", "CroppedAreaImageWidthPixels": 80, "FullPanoWidthPixels": 80,
+          "CroppedAreaImageHeightPixels": 40, "FullPanoHeightPixels": 40}, True),
+        ({"CroppedAreaImageWidthPixels": 80}, True),
+    ],
+)  # fmt: skip
+def test_a_part_of_a_sphere_is_none_however_it_is_shaped(
+    tmp_path: Path, said: dict[str, object], expected: bool
+) -> None:
+    about = {"ProjectionType": "equirectangular", **said}
+    notes = " ".join(f'GPano:{name}="{value}"' for name, value in about.items())
+    attributes = f'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF {notes}></rdf:RDF></x:xmpmeta>'
+    as_elements = re.sub(r'(GPano:\w+)="(\w+)"', r"<\1>\2</\1>", attributes.replace("<rdf:RDF ", "<rdf:RDF>"))
+    for number, xmp in enumerate((attributes, as_elements)):
+        path = tmp_path / f"{number}.jpg"
+        Image.fromarray(np.zeros((40, 80, 3), np.uint8)).save(path, xmp=xmp.encode())
+        assert is_sphere(path) == expected
 
 
 @pytest.mark.filterwarnings("error::zoedepth.errors.InputWarning")

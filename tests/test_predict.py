@@ -552,6 +552,16 @@ def test_what_cannot_be_a_camera_is_refused(unchecked_types: None) -> None:
         Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(500.0, 500.0, math.nan, 30.0))
 
 
+def test_intrinsics_of_photos_of_another_size_are_refused() -> None:
+    with pytest.raises(InputError, match=r"far from the middle of a photo of 96 x 64 pixels.*Scale them"):
+        Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(60, 60, 23.5, 15.5))
+
+
+def test_a_correction_without_a_camera_is_refused() -> None:
+    with pytest.raises(InputError, match=r"names no focal length to correct depth by"):
+        Predictor(Brightness(), camera="none", focal_correction=True)
+
+
 def test_a_model_of_unknown_focal_length_is_not_corrected_and_says_so_where_it_is_asked_to() -> None:
     assert Predictor(Brightness())(smooth((64, 96)), camera=Lens(fov_x=20)).focal_correction == 1
     with pytest.raises(

@@ -4,7 +4,7 @@ from functools import cache
 import pytest
 
 from zoedepth.build import without_memory
-from zoedepth.config import BaselineConfig, DornConfig, ModelConfig
+from zoedepth.config import OUTDOOR, BaselineConfig, DornConfig, ModelConfig
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import (
@@ -177,6 +177,7 @@ def test_compat_changes_one_value_each():
         ("zoed-m12-n", "10m", "normed"),
         ("zoed-m12-nk", "10m", "normed"),
         ("zoed-m12-nk", "80m", "baselines"),
+        ("zoed-m12-k", "80m", "softplus centers"),
         ("zoed-m12-k", "old", "there are batch-vote, 10m, 80m, squeeze"),
     ],
 )
@@ -200,6 +201,12 @@ def test_every_baseline_is_there_for_nyu_kitti_and_both():
     assert set(BASELINES) == {f"{name}-{data}" for name in names for data in ("n", "k", "nk")}
     for name, config in BASELINES.items():
         assert config.domains[0].max_depth == (10.0 if name.endswith("-n") else 80.0)
+
+
+def test_one_head_of_softplus_centers_may_be_kittis_by_compat():
+    """Its checkpoint in the original's layout does not say so."""
+    n = PRESETS["zoed-m12-n"]
+    assert with_compat(n, ["80m"]) == in_training_cameras(replace(n, domains=(OUTDOOR,)))
 
 
 def test_baselines_of_kitti_reach_80_metres_by_compat():

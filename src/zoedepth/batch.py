@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
 from functools import cache
 from io import BytesIO
-from itertools import chain, count, groupby, islice
+from itertools import chain, count, islice
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -171,6 +171,7 @@ class Request:
             "png_scale": options.png_scale,
             "vmin": options.vmin,
             "vmax": options.vmax,
+            "colormap": None if options.colormap == Options.colormap else options.colormap,
             "calibration": self.calibration,
         }
         metric = [name for name, value in given.items() if value is not None]
@@ -728,7 +729,7 @@ def _matching(pattern: str, root: Path, listing: Listing) -> Iterator[list[Path]
         for files in walk_files(root, listing):
             yield [file for file in files if _fits(file.relative_to(root).parts, parts)]
         return
-    for _, files in groupby(sorted(map(Path, glob.iglob(pattern))), key=lambda file: file.parent):
+    for files in _level_by_level(root, parts):
         kept = []
         for file in files:
             if service := service_folder(file.relative_to(root).parent):
@@ -736,6 +737,24 @@ def _matching(pattern: str, root: Path, listing: Listing) -> Iterator[list[Path]
             elif not file.is_dir():
                 kept.append(file)
         yield kept
+
+
+def _level_by_level(folder: Path, parts: tuple[str, ...]) -> Iterator[list[Path]]:
+    """Yield what matches the parts of a glob below a folder, folder by folder, as Python's own glob finds it."""
+    name, *rest = parts
+    if glob.has_magic(name):
+        try:
+            there = sorted(entry for entry in os.listdir(folder) if name.startswith(".") or not entry.startswith("."))
+        except OSError:  # no folder, or one that may not be read, has nothing that matches
+            return
+        found = [folder / entry for entry in there if fnmatch(entry, name)]
+    else:
+        found = [folder / name] if os.path.lexists(folder / name) else []
+    if not rest:
+        yield found
+        return
+    for path in found:
+        yield from _level_by_level(path, tuple(rest))
 
 
 def _fits(names: tuple[str, ...], parts: tuple[str, ...]) -> bool:

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import TextIOWrapper
 
-from zoedepth.errors import OPTIONAL, MissingExtraError, Terminated, ZoeDepthError, no_such
+from zoedepth.errors import OPTIONAL, MissingExtraError, Terminated, ZoeDepthError, is_no_memory, no_such
 
 WRONG, INTERRUPTED, NOBODY_READS, TERMINATED = 2, 130, 141, 143
 """Exit codes. All but the first are 128 and the number of the signal, as shells count: Ctrl-C, ``| head``, SIGTERM."""
@@ -39,7 +39,6 @@ _WHAT_TO_DO = {
 }
 _OF_RUST = re.compile(r"\(os error (\d+)\)")  # safetensors
 _OF_TORCH = "inline_container.cc"  # torch.save
-_NO_MEMORY = re.compile(r"out of memory|can't allocate memory")
 
 Function = Callable[..., int]
 
@@ -246,7 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:  # of all that goes wrong, what people can mend is one line; the rest is raised again
         if (refusal := _refusal(error)) is not None:
             return _stop(WRONG, f"{name}: {_describe(refusal)}")
-        if isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+        if is_no_memory(error):
             return _stop(
                 WRONG, f"{name}: there is too little memory: give smaller photos, fewer workers, smaller batches"
             )

@@ -164,13 +164,51 @@ class DepthMap:
             form: "scale-shift" also fits a power of the depth where the readings say that it helps.
 
         Raises:
-            InputError: a reading is outside of the photo, at a pixel that is not ``valid``, or not above 0; or the
-                depth is calibrated already.
+            InputError: a reading is outside of the photo, at a pixel that is not ``valid``, or not above 0; it is along
+                the ray or a distance, and the camera is "assumed"; or the depth is calibrated already.
         """
-        calibration = calibrate(
-            self.depth, readings, camera=self.camera, valid=self.valid, along_ray=along_ray, form=form
+        return self.calibrated(self.find_calibration(readings, along_ray=along_ray, form=form))
+
+    def find_calibration(
+        self,
+        readings: Sequence[Point | Distance] | Float[np.ndarray, "_ _"],
+        *,
+        along_ray: bool = False,
+        form: Form = "scale",
+        photo: str = "",
+        earlier: Calibration | None = None,
+    ) -> Calibration:
+        """Return the calibration that readings tell of this depth, without the name of a model.
+
+        Args:
+            readings: see ``calibrate``.
+            along_ray: see ``calibrate``.
+            form: see ``calibrate``.
+            photo: name of this photo, to tell its readings from those of others.
+            earlier: calibration of other photos of the same camera, see ``calibration.calibrate``.
+
+        Raises:
+            InputError: a reading cannot be compared with the depth, or needs the camera, which nobody knows; or the
+                earlier calibration is of something else.
+        """
+        found = calibrate(
+            self.depth,
+            readings,
+            camera=self.camera,
+            valid=self.valid,
+            along_ray=along_ray,
+            form=form,
+            photo=photo,
+            earlier=earlier,
         )
-        return self.calibrated(replace(calibration, domain=self.domain, focal_corrected=self.focal_correction != 1))
+        between = any(len(reading.points) == 2 for reading in found.readings if reading.photo == photo)
+        if (between or along_ray) and self.camera.source == "assumed":
+            raise InputError(
+                f"{'the distance of two points' if between else 'a reading along the ray'} needs the camera of "
+                f"{photo or 'the photo'}, which is not known ({self.camera_note or 'nobody says it'}): say its field "
+                "of view (fov_x, fov_diagonal), or measure depth along the optical axis"
+            )
+        return replace(found, domain=self.domain, focal_corrected=self.focal_correction != 1)
 
     def calibrated(self, calibration: Calibration, *, network: str | None = None) -> "DepthMap":
         """Return this depth map with its metres put right by a calibration of the same camera.

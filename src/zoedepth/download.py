@@ -6,6 +6,7 @@ import json
 import logging
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -38,7 +39,10 @@ def cache_home() -> Path:
     """Return the folder for files that can be fetched again: ``XDG_CACHE_HOME``, else ``~/.cache``.
 
     A user without a home, or with one that cannot be written to, as in containers, has one in the folder for temporary
-    files instead.
+    files instead. It is made for that user alone.
+
+    Raises:
+        InputError: the one in the folder for temporary files is, or may have been filled, by somebody else.
     """
     if given := os.environ.get("XDG_CACHE_HOME"):
         return Path(os.path.expanduser(given))
@@ -46,8 +50,38 @@ def cache_home() -> Path:
     cache = home / ".cache"
     if cache.is_dir() or (home.is_absolute() and os.access(home, os.W_OK)):
         return cache
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    return Path(tempfile.gettempdir()) / f"zoedepth-{user}"
+    user = os.getuid() if hasattr(os, "getuid") else None
+    folder = Path(tempfile.gettempdir()) / f"zoedepth-{'user' if user is None else user}"
+    _own(folder, user)
+    return folder
+
+
+def _own(folder: Path, user: int | None) -> None:
+    """Make a folder for one user alone, where everybody may make one of this name before.
+
+    Raises:
+        InputError: it is there, and somebody else may write into it: weights and compiled models would be theirs.
+    """
+    with suppress(OSError):  # it is there already; or nothing can be made here, and whoever writes a file says so
+        folder.mkdir(mode=0o700)
+    try:
+        found = folder.lstat()
+    except OSError:  # see above
+        return
+    if user is None:  # on Windows the folder for temporary files is the user's own
+        return
+    if not stat.S_ISDIR(found.st_mode):
+        problem = "is a link or a file, and no folder"
+    elif found.st_uid != user:
+        problem = "belongs to another user"
+    elif found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        problem = "can be written to by other users"
+    else:
+        return
+    raise InputError(
+        f"{folder}, where files would be kept for a user without a home, {problem}: what lies in it cannot be trusted. "
+        "Set XDG_CACHE_HOME to a folder of your own (HF_HOME for models of Hugging Face alone), or remove it"
+    )
 
 
 def download(

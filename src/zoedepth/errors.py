@@ -26,6 +26,10 @@ OPTIONAL = {
 }  # fmt: skip
 """Module that the package can do without → the extra in ``pyproject.toml`` that installs it."""
 
+_NO_MEMORY = re.compile(
+    r"out of memory|(can't|cannot|failed to|unable to) allocate memory|\bbad[ _]alloc", re.IGNORECASE
+)
+"""Words of torch, CUDA, ONNX Runtime and OpenVINO for too little memory; their errors are of no one class."""
 _FEW = 12
 """Names that a message lists; more would hide what it says."""
 
@@ -36,6 +40,10 @@ class ZoeDepthError(Exception):
 
 class InputError(ZoeDepthError, ValueError):
     """A file, array or option cannot be used. The message names it and says how to mend it."""
+
+
+class FullDiskError(InputError):
+    """A disk has too little room for a file now. The message says how much is needed."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -69,6 +77,18 @@ class MissingExtraError(ZoeDepthError, ImportError):
     def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str]]:
         # Between processes, exceptions are rebuilt from ``args`` (the message), but this one takes two arguments.
         return type(self), (self.extra, self.feature)
+
+
+def is_no_memory(error: BaseException) -> bool:
+    """Return True if an error says that there was too little memory, whichever library raised it."""
+    return isinstance(error, MemoryError) or (
+        not isinstance(error, ZoeDepthError) and _NO_MEMORY.search(str(error)) is not None
+    )
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of what an error says, cut to 200 letters, or its class where it says nothing."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
 
 
 def no_such(kind: str, name: str, known: Iterable[str], *, see: str = "") -> InputError:

@@ -20,7 +20,7 @@ from jaxtyping import Float32, UInt8
 from PIL import Image, UnidentifiedImageError
 
 from zoedepth.claims import HEIC_IS_READ, BinaryFile, check_claims
-from zoedepth.errors import InputError, InputWarning
+from zoedepth.errors import InputError, InputWarning, is_no_memory
 from zoedepth.moved import moved_name
 from zoedepth.pictures import PhotoNotes, has_whole_exif, is_panorama, n_full_pages, open_picture, read_exif, read_notes
 
@@ -281,6 +281,8 @@ def _open(
     except UnidentifiedImageError as error:
         raise InputError(f"{name} is not an image in a known format: convert it to JPEG or PNG") from error
     except Exception as error:  # decoders raise nearly anything on a broken file, from struct.error to SyntaxError
+        if is_no_memory(error):
+            raise
         raise InputError(f"{name} cannot be read, it may be cut short or damaged: copy it again ({error})") from error
     return picture, orientation, found
 
@@ -394,6 +396,8 @@ def _from_pil(picture: Image.Image, name: str, *, upright: bool) -> ImageArray:
         else:
             picture.load()
     except Exception as error:  # see ``_open``
+        if is_no_memory(error):
+            raise
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
     return _from_upright(picture, name)
 
@@ -402,6 +406,8 @@ def _from_upright(picture: Image.Image, name: str, *, photo: bool = True) -> Ima
     try:
         values = as_array(picture, picture.mode if picture.mode == "F" or picture.mode.startswith("I") else "RGB")
     except Exception as error:  # see ``_open``
+        if is_no_memory(error):
+            raise
         raise InputError(f"{name} cannot be converted from mode {picture.mode} to RGB: {error}") from error
     if values.dtype.kind == "i":  # mode "I" is how some decoders hand out 16 bits
         if values.size and (values.min() < 0 or values.max() > PNG_MAX):

@@ -162,13 +162,13 @@ def predict_panorama(predictor: Predictor, image: Any, *, domain: str | None = N
 
 
 def is_sphere(source: str | Path | BinaryFile) -> bool:
-    """Return True if a photo is a panorama of 360 x 180 degrees, by its XMP and its shape.
+    """Return True if a photo is a panorama of 360 x 180 degrees, by its XMP and its shape; a part of one is not.
 
     Raises:
         InputError: it is no picture; see ``images.read_image``.
     """
     short, long = sorted(read_stored_size(source))
-    if long - 2 * short > 2 or 2 * short - long > 2 or not read_photo_notes(source).panorama:
+    if long - 2 * short > 2 or 2 * short - long > 2 or not read_photo_notes(source).sphere:
         return False
     height, width = read_image(source, panorama=True).shape[:2]
     return abs(width - 2 * height) <= 2

@@ -27,6 +27,10 @@ _CALIBRATION = re.compile(
     rb"drone-dji:Calibrated(FocalLength|OpticalCenter[XY])\s{0,9}(?:=\s{0,9}[\"']|>)\s{0,9}([-+.\deE]{1,32})"
 )
 _PANORAMA = b"GPano:ProjectionType"  # in XMP, of spheres and of strips
+_PROJECTION = re.compile(_PANORAMA + rb"\s{0,9}(?:=\s{0,9}[\"']|>)\s{0,9}([A-Za-z]{1,32})")
+_PART_OF_PANORAMA = re.compile(
+    rb"GPano:(CroppedAreaImage|FullPano)(Width|Height)Pixels\s{0,9}(?:=\s{0,9}[\"']|>)\s{0,9}(\d{1,9})"
+)
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,8 @@ class PhotoNotes:
     """EXIF orientation, 1 to 8, by which the photo is turned upright; 1 where nothing or nonsense is said."""
     panorama: bool = False
     """True if XMP says that it is a panorama: a sphere, a part of one, or a strip."""
+    sphere: bool = False
+    """True if XMP says that it is a whole sphere; see ``is_whole_sphere``."""
     calibration: Mapping[str, float] = field(default_factory=dict)
     """Numbers of the maker's own calibration of the camera that XMP has, as DJI's drones write them: "focal" (length),
     and "x" and "y" of the middle of the lens, all in pixels of the photo as it was taken, from its corner."""
@@ -64,7 +70,7 @@ def read_notes(picture: Image.Image) -> PhotoNotes:
     orientation = picture.info.get("original_orientation") or tags.get(ExifTags.Base.Orientation)
     if not isinstance(orientation, int) or not 1 <= orientation <= 8:
         orientation = 1
-    return PhotoNotes(tags, orientation, is_panorama(picture), _calibration(picture), damage)
+    return PhotoNotes(tags, orientation, is_panorama(picture), is_whole_sphere(picture), _calibration(picture), damage)
 
 
 def read_exif(picture: Image.Image) -> Image.Exif:
@@ -127,6 +133,20 @@ def _walk(content: bytes) -> _Walk:
 def is_panorama(picture: Image.Image) -> bool:
     """Return True if the XMP of a picture says that it is a panorama."""
     return _xmp(picture).find(_PANORAMA) >= 0
+
+
+def is_whole_sphere(picture: Image.Image) -> bool:
+    """Return True if the XMP of a picture says that it is an equirectangular panorama, and no part cut out of one."""
+    notes = _xmp(picture)
+    projection = _PROJECTION.search(notes)
+    if projection is None or projection[1].lower() != b"equirectangular":
+        return False
+    pixels = {(kind, side): int(number) for kind, side, number in _PART_OF_PANORAMA.findall(notes)}
+    return all(
+        pixels.get((b"CroppedAreaImage", side)) in (None, whole)
+        for (kind, side), whole in pixels.items()
+        if kind == b"FullPano"
+    )
 
 
 def _xmp(picture: Image.Image) -> bytes:

@@ -96,6 +96,10 @@ class Predictor:
         if precision not in ("float32", "bfloat16", "float16"):
             raise InputError(f"precision must be 'float32', 'bfloat16' or 'float16', got {precision!r}")
         check_choice(camera)
+        if focal_correction and camera == "none":
+            raise InputError(
+                "camera='none' (--camera none) names no focal length to correct depth by: leave one of them out"
+            )
         unknown = [domain.name for domain in model.config.domains if domain.focal_px is None]
         if focal_correction and unknown:
             raise InputError(

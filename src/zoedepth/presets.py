@@ -271,11 +271,15 @@ def _ten_metres(config: AnyModelConfig) -> AnyModelConfig:
 
 
 def _eighty_metres(config: AnyModelConfig) -> AnyModelConfig:
-    if not isinstance(config, BaselineConfig):
+    if isinstance(config, BaselineConfig):
+        return replace(config, domains=(OUTDOOR,))
+    head = config.head
+    if len(config.domains) != 1 or not isinstance(head, AttractorConfig) or head.centers != "softplus":
         raise InputError(
-            "compat '80m' is for checkpoints of the baselines, which do not name their range. Leave it out."
+            "compat '80m' is for checkpoints that do not name their range: those of the baselines, and of the original "
+            "with one head and softplus centers. Leave it out."
         )
-    return replace(config, domains=(OUTDOOR,))
+    return in_training_cameras(replace(config, domains=(OUTDOOR,)))
 
 
 def _squeeze(config: AnyModelConfig) -> AnyModelConfig:
@@ -291,8 +295,9 @@ COMPAT: dict[str, Callable[[AnyModelConfig], AnyModelConfig]] = {
 """Behaviour of the released code that this package does not have, by name; for comparing with its numbers.
 
 batch-vote: one head for the whole batch. 10m: ZoeD-K as loaded without naming a data set, 8 times too near. 80m: a
-baseline's checkpoint of KITTI; the files do not name their data set, and are taken for NYU's. squeeze: photos are
-resized to exactly the trained size, whatever their proportions (its "eval" mode).
+checkpoint of KITTI, of a baseline or of the original with one head and softplus centers; the files do not name their
+data set, and are taken for NYU's. squeeze: photos are resized to exactly the trained size, whatever their proportions
+(its "eval" mode).
 """
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,23 @@ class TestMismatches:
         assert message in reason
 
     @pytest.mark.parametrize(
+        ("one", "other", "same"),
+        [
+            ("kitchen", "runs/kitchen", True),
+            ("/home/me/runs/kitchen", "runs/kitchen", True),
+            ("model.safetensors", "runs/a/model.safetensors", True),
+            ("zoedepth-nyu-kitti", "Intel/zoedepth-nyu-kitti", True),
+            ("runs/a/model.safetensors", "runs/b/model.safetensors", False),
+            ("runs/kitchen", "runs/attic", False),
+        ],
+    )
+    def test_a_model_is_known_by_the_end_of_its_path(self, one: str, other: str, same: bool) -> None:
+        for first, second in ((one, other), (other, one)):
+            calibration = replace(example(), network=first)
+            found = calibration.mismatches(camera=None, network=second, domain=None, focal_corrected=False)
+            assert (found == ()) == same
+
+    @pytest.mark.parametrize(
         "camera",
         [
             CAMERA,
@@ -113,6 +131,17 @@ class TestFiles:
         assert path.stat().st_size < 1 << 16
         assert len(back.readings) <= MAX_KEPT
         assert replace(back, readings=()) == replace(found, readings=())
+
+    def test_keep_some_readings_of_every_photo(self) -> None:
+        depth, truth = room()
+        found = None
+        for number in range(5):
+            found = calibrate(depth, truth, camera=CAMERA, photo=f"{number}.jpg", earlier=found)
+            found = Calibration.from_json(found.to_json())
+        kept = Counter(reading.photo for reading in found.readings)
+        assert set(kept) == {f"{number}.jpg" for number in range(5)}
+        assert sum(kept.values()) <= MAX_KEPT
+        assert min(kept.values()) > MAX_KEPT / 10
 
     @pytest.mark.parametrize("content", ["hello", "{}", '{"zoedepth": "0.1.0", "source": "a.jpg", "files": {}}'])
     def test_of_others_are_not_replaced(self, tmp_path: Path, content: str) -> None:

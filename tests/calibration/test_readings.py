@@ -37,6 +37,22 @@ def test_a_dense_map_is_thinned_evenly() -> None:
     assert found.scale == pytest.approx(1.3 * np.median(truth / depth), rel=0.02)
 
 
+def test_very_many_points_are_taken_as_a_map_of_them_is() -> None:
+    depth, truth = room()
+    rows, columns = np.nonzero(truth > 0)
+    points = np.stack([columns, rows, 1.3 * truth[rows, columns]], axis=1)
+    assert len(points) > 2 * MAX_USED
+    valid = np.ones(SIZE, bool)
+    valid[:, :40] = False
+    found = calibrate(depth, points, valid=valid)
+    assert found == calibrate(depth, 1.3 * truth, valid=valid)
+    with pytest.raises(InputError, match="no reading is at a pixel with valid depth"):
+        calibrate(depth, points, valid=np.zeros(SIZE, bool))
+    points[::5, 2] = 65.535
+    with pytest.raises(InputError, match=r"of the readings hold the largest value, 65\.535 m"):
+        calibrate(depth, points)
+
+
 def test_pixels_without_valid_depth_are_passed_over_in_maps() -> None:
     depth, truth = room(error=0)
     depth[:30] = np.nan

@@ -129,6 +129,21 @@ class TestRefuses:
         undo_files(sidecar)
         self.check(sidecar, "no sidecar of a calibrated photo")
 
+    def test_where_files_of_an_earlier_command_may_be_calibrated_too(
+        self, sidecar: Path, photo: Path, tiny_model: ZoeDepth
+    ) -> None:
+        write(photo, sidecar.parent, tiny_model, Calibration(scale=2.0), ("npz",))
+        again = write(photo, sidecar.parent, tiny_model, Calibration(scale=2.0), ("depth", "preview"))
+        self.check(again, r"photo\.npz is of an earlier command, .*: remove it")
+
+    def test_depth_that_was_put_back_already(self, sidecar: Path) -> None:
+        """A command was killed before the sidecar had its place."""
+        content = sidecar.read_bytes()
+        undo_files(sidecar)
+        sidecar.write_bytes(content)
+        with pytest.raises(InputError, match=r"has been put back already, or changed|not from zoedepth"):
+            undo_files(sidecar)
+
     def test_without_the_photo_that_its_files_show(self, sidecar: Path, photo: Path) -> None:
         photo.unlink()
         self.check(sidecar, "show the photo. Or predict the photo again")

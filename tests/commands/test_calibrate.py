@@ -158,12 +158,12 @@ class TestReadings:
 
     def test_between_needs_a_known_camera(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert calibrate(photo, "--between=100,100,500,300=1", "--camera", "none") == 2
-        assert "--between needs the camera" in capsys.readouterr().err
+        assert "the distance of two points needs the camera" in capsys.readouterr().err
         assert calibrate(photo, "--between=100,100,500,300=1", "--fov-x", 60) == 0
 
     def test_along_the_ray_needs_a_known_camera(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert calibrate(photo, "--at=100,100=1", "--along-ray", "--camera", "none") == 2
-        assert "--along-ray needs the camera" in capsys.readouterr().err
+        assert "a reading along the ray needs the camera" in capsys.readouterr().err
 
     def test_again_for_one_photo_replaces_its_readings(
         self, photo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -33,6 +33,22 @@ def lite_onnx(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.parametrize(
+    ("model", "file"),
+    [("runs/v1.2", "v1.2.onnx"), ("runs/v1.3.safetensors", "v1.3.onnx"), ("lab/depth-v1.0", "depth-v1.0.onnx")],
+)
+def test_files_are_named_after_the_whole_name_of_the_model(
+    model: str, file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+):
+    monkeypatch.chdir(tmp_path)
+    Path("runs/v1.2").mkdir(parents=True)
+    Path("runs/v1.3.safetensors").touch()
+    monkeypatch.setattr("zoedepth.weights.load.load_model", lambda model, **_: None)
+    monkeypatch.setattr("zoedepth.export.write.export_model", lambda network, path, **_: 0.0)
+    assert main(["export", model, "--to", "onnx"]) == 0
+    assert capsys.readouterr().out.strip() == file
+
+
 def test_the_command_line_writes_and_reads_exported_files(
     lite_onnx: Path, tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ):

@@ -44,6 +44,14 @@ def test_failed(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "not an image" in line
 
 
+def test_failed_as_json(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["jobs", "status", str(out), "--failed", "--json"]) == 1
+    (line,) = capsys.readouterr().out.splitlines()
+    values = json.loads(line)
+    assert set(values) == {"input", "error"}
+    assert values["error"]
+
+
 def test_a_named_photo_hides_no_failure(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["jobs", "merge", str(out)])
     run(write_photo(out.parent / "x.png"), out=out, settings={"weights": "2"})

@@ -568,8 +568,12 @@ class TestWhatItSays:
         at_photo(monkeypatch, "1.jpg", interrupt)
         photos = [write_photo(tmp_path / f"{index}.jpg") for index in range(3)]
         assert predict(*photos, "--no-flip", "--no-preview", "--workers", "1", out=tmp_path / "out") == 130
-        said = re.search(r"Interrupted: ([12]) of 3 photos written", capsys.readouterr().err)  # one more may have begun
+        error = capsys.readouterr().err
+        said = re.search(r"Interrupted: ([12]) of 3 photos written", error)  # one more may have begun
         assert said is not None
+        assert "type the same command again: what is done is not done twice" in error
+        assert predict(*photos, "--workers", "1", "--overwrite", out=tmp_path / "anew") == 130
+        assert "type the same command without --overwrite: what is done" in capsys.readouterr().err
         assert len(names(tmp_path / "out")) == 2 * int(said[1])
 
 
@@ -632,8 +636,11 @@ class TestJobs:
     def test_no_folder_and_no_preview(self, photo: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert main(["predict", str(photo), "--out", ""]) == 2
         assert "--out is empty: give a folder" in capsys.readouterr().err
-        assert predict(photo, "--save", "preview", "--no-preview", out=photo.parent / "out") == 2
-        assert "give one of them" in capsys.readouterr().err
+        for nothing in (["preview"], ["jpg"], [".jpg,preview"], []):
+            assert (
+                predict(photo, *(["--save", *nothing] if nothing else ["--save", ""]), "--no-preview", out="out") == 2
+            )
+            assert "--save names nothing to write, or the preview alone" in capsys.readouterr().err
 
     def test_shards_take_pixels_for_those_of_one_photo(self, tmp_path: Path) -> None:
         for name, size in (("a", (30, 40)), ("b", (60, 80)), ("c", (15, 20))):

@@ -11,7 +11,7 @@ from tests.export.models import DOMAINS, HEADS, PAIR, balanced, flat
 
 from zoedepth.build import build_model
 from zoedepth.config import ModelConfig, RouterConfig
-from zoedepth.errors import InputError
+from zoedepth.errors import FullDiskError, InputError
 from zoedepth.export import export_model
 from zoedepth.export.wrapper import ExportModel
 from zoedepth.presets import ZOED_LITE
@@ -64,6 +64,6 @@ def test_a_disk_without_room_is_told_before_the_work(
     tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
-    with pytest.raises(InputError, match=r"has 1,000 bytes free, and the export needs about"):
+    with pytest.raises(FullDiskError, match=r"has 1,000 bytes free, and the export needs about"):
         export_model(flat(tiny_config, 1), tmp_path / "model.onnx", to="onnx")
     assert list(tmp_path.iterdir()) == []

@@ -217,11 +217,21 @@ class TestChain:
     """What tells the focal length, in which order, and what is not believed."""
 
     def test_film_comes_first_then_the_focal_plane_then_the_sensor(self) -> None:
-        nikon = {MAKE: "NIKON CORPORATION", MODEL: "NIKON D90"}
+        nikon = {MAKE: "NIKON CORPORATION", MODEL: "NIKON D700"}  # of 36 x 23.9 mm
         assert focal({**WIDE, LENS: 4.3, **nikon}) == pytest.approx(WIDE_PX)
         assert focal({**FIFTY, **nikon}) == pytest.approx(FIFTY_PX)
-        assert focal({**FIFTY, **nikon, ACROSS: 0}) == pytest.approx(50 * 300 / 15.6)
+        assert focal({**FIFTY, **nikon, ACROSS: 0}) == pytest.approx(50 * 300 / 23.9)
         assert focal({**FIFTY, FILM_LENGTH: 0}) == pytest.approx(FIFTY_PX)
+
+    def test_a_focal_plane_that_is_not_that_of_the_model_is_believed_by_nobody(self) -> None:
+        """A photo was made smaller by a program that wrote its new size, and left the resolution of the sensor."""
+        tags: dict[int, object] = {MAKE: "NIKON CORPORATION", MODEL: "NIKON D90", LENS: 50}
+        whole = 4288 / 23.6  # pixels per mm, of 23.6 x 15.8 mm
+        as_taken = {**tags, ACROSS: whole, DOWN: whole, UNIT: 4}
+        assert focal(as_taken, (2848, 4288)) == pytest.approx(50 * whole)
+        for size in ((1424, 2144), (712, 1072)):
+            assert "nobody can tell whether the photo was resized or cropped" in reason(as_taken, size)
+        assert focal(tags, (1424, 2144)) == pytest.approx(50 * whole / 2, rel=0.01)
 
     def test_unit_of_the_focal_plane(self) -> None:
         assert focal({**FIFTY, ACROSS: 0.4 / 36, DOWN: 0.4 / 36, UNIT: 5}) == pytest.approx(FIFTY_PX)

@@ -96,14 +96,20 @@ class TestHere:
         targets = {each.name: each.target.as_posix() for shard in shards for each in shard}
         assert targets == found(folder)
 
-    def test_shards_know_one_first_input(self, folder: Path, tmp_path: Path) -> None:
+    def test_shards_know_the_same_first_inputs(self, folder: Path, tmp_path: Path) -> None:
         shards = [Sources((str(folder),), shard=JobShard(i, 3)) for i in range(3)]
-        assert [each.first for each in shards] == [None] * 3
+        assert [each.firsts for each in shards] == [[]] * 3
         listed = [list(each.inputs()) for each in shards]
         archive = Sources((str(write_zip(tmp_path / "a.zip", members(folder))),), shard=JobShard(0, 100_000))
         assert list(archive.inputs()) == []
-        first = {each.first.place for each in (*shards, archive) if each.first is not None}
-        assert first == {min(each.place for shard in listed for each in shard)}
+        expected = sorted(each.place for shard in listed for each in shard)
+        assert [[each.place for each in sources.firsts] for sources in (*shards, archive)] == [expected] * 4
+
+    def test_comments_in_a_list_are_no_photos(self, folder: Path, tmp_path: Path) -> None:
+        first, *_ = sorted(folder.rglob("*.png"))
+        (tmp_path / "#2.png").write_bytes(first.read_bytes())
+        (tmp_path / "list.txt").write_text(f"# time photo\n{first}\n#2.png\n#3.png\n")
+        assert list(found(tmp_path / "list.txt")) == [str(first), str(tmp_path / "#2.png")]
 
     def test_shards_are_the_same_where_a_source_is_a_link(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -1,9 +1,11 @@
 """A set of names on disk: what was added is known, and the memory does not tell how much that was."""
 
+import sqlite3
+
 import pytest
 
 from zoedepth.batch import NamesInMemory
-from zoedepth.jobs.names import Names, key_of, row_key
+from zoedepth.jobs.names import Names, key_of, row_key, temporary_database
 
 
 def test_each_name_is_new_once() -> None:
@@ -25,6 +27,16 @@ def test_names_are_added_together_or_not_at_all(kind: type[Names] | type[NamesIn
     assert [names.add(name) for name in ("day/a", "day/b", "day/c", "day/d", "a", "b")] == [
         False, False, False, True, False, True,
     ]  # fmt: skip
+
+
+def test_a_full_disk_is_told_as_one() -> None:
+    database = temporary_database()
+    database.execute("CREATE TABLE t (x BLOB)")
+    database.execute("PRAGMA max_page_count = 2")
+    with pytest.raises(OSError, match="the disk for temporary files is full: make room, or name another by TMPDIR"):
+        database.executemany("INSERT INTO t VALUES (?)", [(bytes(4000),)] * 20)
+    with pytest.raises(sqlite3.OperationalError, match="no such table"):
+        database.execute("SELECT * FROM u")
 
 
 def test_rows_of_a_folder_lie_side_by_side() -> None:

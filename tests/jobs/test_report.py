@@ -126,6 +126,12 @@ def test_what_is_no_job(tmp_path: Path) -> None:
             read_status(str(out))
 
 
+def test_a_stores_manifest_that_was_copied_is_none_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "zoedepth-manifest-0-of-2").mkdir()
+    with pytest.raises(InputError, match="is not the --out of a job"):
+        read_status(str(tmp_path))
+
+
 def test_a_job_in_a_store(tmp_path: Path) -> None:
     fsspec.filesystem("memory").store.clear()
     folder = write_photos(tmp_path / "in")
@@ -134,5 +140,5 @@ def test_a_job_in_a_store(tmp_path: Path) -> None:
     found = read_status("memory://bucket/out")
     assert [(str(each.shard), each.running) for each in found] == [("0/2", None), ("1/2", None)]
     assert sum(each.done for each in found) == 4
-    with pytest.raises(InputError, match="merged in a folder"):
+    with pytest.raises(InputError, match="merged in folders, and not in stores"):
         merge_shards("memory://bucket/out")

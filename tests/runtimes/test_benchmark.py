@@ -235,6 +235,22 @@ def test_bfloat16_that_would_take_forever_is_not_measured(
     assert (row.failed, row.seconds is None) == (False, bool(problem))
 
 
+def test_bfloat16_on_the_cpu_is_left_out_by_products_on_the_cpu_alone(
+    weights: Path,
+    photos: list[Path],
+    machine: Machine,
+    nothing_exported: list[tuple[str, tuple[Path, ...]]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def measured(asked: Machine) -> dict[str, float]:
+        return {"float32": 100.0, "bfloat16": 20.0 if asked.accelerator is None else 800.0}
+
+    monkeypatch.setattr(benchmarks, "this_machine", lambda device: replace(machine, accelerator="H200"))
+    monkeypatch.setattr(benchmarks, "products", measured)
+    row = by_name(benchmark(weights, photos=photos, start=Stage().start, repeats=1))["torch, bfloat16"]
+    assert "0.20 times as fast as in float32" in row.problem
+
+
 def test_int8_is_chosen_where_it_was_calibrated_on_other_photos(
     weights: Path, photos: list[Path], nothing_exported: list[tuple[str, tuple[Path, ...]]]
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zoedepth.errors import InputError
+from zoedepth.errors import FullDiskError, InputError
 from zoedepth.export.write import ExportError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.predict import Predictor
@@ -197,7 +197,15 @@ class TestDecide:
         assert len(compared) == (rates is QUICK)
         assert "docs/performance.md" in choice.why
 
-    @pytest.mark.parametrize(("error", "lasting"), [(InputError("no room"), False), (ExportError("other"), True)])
+    @pytest.mark.parametrize(
+        ("error", "lasting"),
+        [
+            (FullDiskError("no room"), False),
+            (OSError("no rights"), False),
+            (InputError("NeWCRFs cuts a photo into windows"), True),
+            (ExportError("other"), True),
+        ],
+    )
     def test_runtime_that_cannot_hold_the_model_is_left_out(
         self, error: Exception, lasting: bool, weights: Path, here: Machine, exported: dict[str, Any]
     ) -> None:

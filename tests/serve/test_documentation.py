@@ -5,12 +5,14 @@ import shlex
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.pages import blocks
 from tests.serve.running import Client, photo
 
 from zoedepth.commands.options import call
 from zoedepth.commands.serve import serve
+from zoedepth.depth_map import DepthMap
 from zoedepth.serve.answers import FORMATS, NAMES
 from zoedepth.serve.problems import KINDS
 
@@ -42,6 +44,8 @@ def test_every_option_that_is_told_is_one(capsys: pytest.CaptureFixture[str]) ->
 
 def test_curl(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    # The tiny model is unsure of nearly every pixel's neighbourhood, and the places that the page names are anybody's.
+    monkeypatch.setattr(DepthMap, "valid", property(lambda result: np.ones(result.size, bool)))
     Path("photo.jpg").write_bytes(photo(544, 244, format="JPEG"))
     lines = [line for block in blocks(PAGE, "bash") for line in block.splitlines() if line.startswith("curl ")]
     assert len(lines) == 5
@@ -59,8 +63,7 @@ def test_curl(client: Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
             answer = client.ask(path, Path("photo.jpg").read_bytes(), headers={"Content-Type": "image/jpeg"})
         else:
             answer = client.ask(path)
-        # The tiny model is unsure of nearly every pixel's neighbourhood; what it refuses, it refuses in words.
-        assert answer.status == 200 or (parts and "no depth to rely on" in answer.json["detail"]), line
+        assert answer.status == 200, (line, answer.body[:300])
         if "-o" in words:
             Path(words[words.index("-o") + 1]).write_bytes(answer.body)
     assert Path("depth.png").read_bytes().startswith(b"\x89PNG")

@@ -24,6 +24,7 @@ from zoedepth.serve.metrics import Metrics
 from zoedepth.serve.photos import Decoded
 from zoedepth.serve.problems import ClientGone, Problem
 from zoedepth.serve.settings import Limits, Settings
+from zoedepth.weights.load import load_model
 
 Result = TypeVar("Result")
 Held = tuple[list[int], threading.Event]
@@ -331,17 +332,32 @@ def test_models_must_give_metres_and_have_names_of_their_own(model_file: str, tm
         Engine(Settings((str(tmp_path / "missing.pt"),)), Metrics()).start()
 
 
+def test_names_keep_what_stands_behind_a_dot_unless_it_is_a_suffix(
+    model_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    network = load_model(model_file)
+    monkeypatch.setattr("zoedepth.serve.engine.load_for_prediction", lambda source, **_: network)
+    (tmp_path / "v1.2").mkdir()
+    sources = ("lab/depth-v1.0", "lab/depth-v1.1", str(tmp_path / "v1.2"), model_file)
+    engine = Engine(Settings(sources), Metrics())
+    engine.start()
+    engine.stop()
+    assert list(engine.models) == ["depth-v1.0", "depth-v1.1", "v1.2", "tiny"]
+
+
 def test_only_what_a_client_can_mend_or_wait_for_is_told() -> None:
     for error, kind in (
         (InputError("a fault"), "invalid-request"),
         (MissingExtraError("exr", "writing EXR"), "not-acceptable"),
         (MemoryError(), "no-room"),
         (RuntimeError("CUDA out of memory. Tried"), "no-room"),
+        (RuntimeError("/srv/a.onnx: Failed to allocate memory for requested buffer of size 400"), "no-room"),
         (OSError(28, "No space left on device"), "no-room"),
     ):
         problem = as_problem(error)
         assert problem is not None
         assert problem.kind == kind
+        assert "/srv" not in problem.detail
     assert as_problem(RuntimeError("a bug")) is None
 
 

@@ -373,7 +373,7 @@ class TestPage:
         visit.page.fill("#near", str(near))
         visit.page.fill("#far", str(far))
         colors = colorize(depth, vmin=near, vmax=far)
-        sizes = []
+        sizes, n_compared = [], 0
         for zoom in (1.0, 2.5, 6.0):
             if zoom > 1:
                 [(x, y)] = visit.places((0.45, 0.4))
@@ -395,6 +395,7 @@ class TestPage:
                 y, x = int(place[1] - round(top)), int(place[0] - round(left))
                 assert tuple(photographed[y, x, :2] // (2, 3)) == (column, row), share
                 if valid[row, column]:
+                    n_compared += 1
                     assert in_metres(visit.text("#value")) == pytest.approx(
                         depth[row, column], abs=rounded_to(depth[row, column])
                     )
@@ -416,6 +417,7 @@ class TestPage:
                 assert length == pytest.approx(pixels_across * away / arrays["intrinsics"][0, 0], rel=0.03)
         spans = [span for _, span in sizes]
         assert spans[0] > 1.8 * spans[1] > 3 * spans[2] > 0, "it was enlarged"
+        assert n_compared > 0, "no place had a depth to rely on"
 
     def test_pins_tell_distances_and_calibrate(self, visit: Visit, service: Service) -> None:
         visit.upload()
@@ -895,6 +897,18 @@ class TestPage:
             visit.page.evaluate(GIVES, [kind, list(PHOTO)])
             visit.page.wait_for_selector(f"#about:has-text('{kind}.png, {WIDTH} × {HEIGHT}')", state="attached")
             visit.settled()
+
+    def test_tries_again_to_begin(self, visit: Visit) -> None:
+        busy = {"title": "The service is busy", "detail": "Wait.", "status": 503}
+        visit.page.route("**/v1/models", lambda route: route.fulfill(status=503, json=busy))
+        visit.page.reload()
+        visit.page.wait_for_selector("#retry")
+        visit.page.unroute("**/v1/models")
+        visit.page.click("#retry")
+        visit.page.wait_for_selector("#model option", state="attached")
+        assert not visit.page.is_visible("#problem")
+        assert len(visit.complaints) == 1, "browsers note what was refused"
+        visit.complaints.clear()
 
     def test_asks_for_the_token_and_says_when_nobody_answers(self, visit: Visit) -> None:
         def guard(route: "Route") -> None:

@@ -1,6 +1,8 @@
+import re
 from pathlib import Path
 
 from zoedepth.serve.page_files import FOLDER, read_page
+from zoedepth.serve.schemas import PredictionQuery
 
 
 def test_files_are_found_by_their_addresses(tmp_path: Path) -> None:
@@ -15,6 +17,18 @@ def test_files_are_found_by_their_addresses(tmp_path: Path) -> None:
     assert files["/"].content == b"<!doctype html>"
     assert files["/vendor/a.js"].media_type == "text/javascript; charset=utf-8"
     assert files["/"].tag != files["/vendor/a.js"].tag
+
+
+def test_the_page_takes_the_fields_of_view_that_the_service_takes() -> None:
+    schema = PredictionQuery.model_json_schema()["properties"]["fov_x"]["anyOf"][0]
+    limits = (str(schema["minimum"]), str(schema["maximum"]))
+    page, panel = ((FOLDER / name).read_text(encoding="utf-8") for name in ("index.html", "camera-panel.js"))
+    found = re.search(r'id="fov"[^>]*min="(\d+)"\s+max="(\d+)"', page)
+    assert found
+    assert found.groups() == limits
+    found = re.search(r"LEAST = (\d+),\s+MOST = (\d+);", panel)
+    assert found
+    assert found.groups() == limits
 
 
 def test_the_page_is_there_and_loads_nothing_from_elsewhere() -> None:

@@ -69,6 +69,16 @@ def test_a_photo_that_is_cut_short_is_told_or_read(kind: str, share: float) -> N
     assert kind_of_problem in (told if share <= 0.5 else ("", *told))
 
 
+@pytest.mark.parametrize("reader", ["zoedepth.serve.photos.open_picture", "zoedepth.images.load_upright"])
+def test_too_little_memory_is_no_damage(reader: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> object:
+        raise MemoryError
+
+    monkeypatch.setattr(reader, full)
+    with pytest.raises(MemoryError):
+        look_and_decode(photo(64, 48))
+
+
 def test_pixels_are_counted_before_they_are_decoded() -> None:
     file = io.BytesIO()
     Image.new("L", (4000, 3000)).save(file, "PNG")

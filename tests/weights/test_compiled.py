@@ -81,6 +81,28 @@ def test_every_kind_of_graph_is_kept_by_itself(model: Path, tmp_path: Path, comp
     assert compiles == ["64", "64", "?", "96", "?"]
 
 
+def test_graph_of_other_weights_is_compiled_again(model: Path, tmp_path: Path, compiles: list[str]) -> None:
+    """Exported anew over the same file, and of another file."""
+    keep = tmp_path / "kept"
+    before = depth(loaded(model, keep=keep))
+    attractors_file(model, 2)
+    expected = depth(loaded(model, keep=None))
+    assert not np.allclose(expected, before, rtol=1e-3)
+    assert np.allclose(depth(loaded(model, keep=keep)), expected, rtol=1e-5)
+    other = attractors_file(tmp_path / "other.xml", 6)
+    assert np.allclose(depth(loaded(other, keep=keep)), before, rtol=1e-5)
+    assert len(compiles) == 4
+
+
+def test_graph_of_another_version_of_openvino_is_compiled_again(
+    model: Path, tmp_path: Path, compiles: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    depth(loaded(model, keep=tmp_path / "kept"))
+    monkeypatch.setattr(openvino, "__version__", "1999.1")
+    depth(loaded(model, keep=tmp_path / "kept"))
+    assert len(compiles) == 2
+
+
 def test_those_used_last_are_kept(model: Path, tmp_path: Path, compiles: list[str]) -> None:
     keep, heights = tmp_path / "kept", [32, 64, 96]
     for place, height in enumerate(heights):

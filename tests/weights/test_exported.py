@@ -5,6 +5,7 @@ import json
 import logging
 import os
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -22,14 +23,14 @@ from onnx import TensorProto, helper
 from tests.weights.layouts.test_files import little_memory
 
 from zoedepth.config import to_dict
-from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.errors import InputError, MissingExtraError, is_no_memory
 from zoedepth.export import export_model
 from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
 from zoedepth.weights.exported import METADATA, OnnxModel, is_exported, load_exported
-from zoedepth.weights.load import load_model
+from zoedepth.weights.load import load_for_prediction, load_model
 from zoedepth.weights.openvino_processor import has_bfloat16
 from zoedepth.weights.releases import ASSETS
 from zoedepth.weights.tensors import INPUT
@@ -197,12 +198,84 @@ def test_graph_that_grows_when_it_runs_is_an_error_that_names_it(tmp_path: Path)
         model(torch.zeros(1, 3, 64, 64))
 
 
+def test_too_little_memory_for_onnx_runtime_is_told_as_it_is(file: Path, monkeypatch: pytest.MonkeyPatch):
+    """Not as a fault of the file: the service and the command line say what to do about memory."""
+
+    def full(*_: object) -> object:
+        raise RuntimeError("[ONNXRuntimeError] : 6 : Failed to allocate memory for requested buffer of size 400")
+
+    monkeypatch.setattr(onnxruntime.InferenceSession, "run", full)
+    with pytest.raises(RuntimeError, match="Failed to allocate memory") as caught:
+        load_exported(file)(torch.zeros(1, 3, 64, 64))
+    assert is_no_memory(caught.value)
+    assert not isinstance(caught.value, InputError)
+
+
+def test_other_failures_of_a_run_are_errors_that_name_the_file_and_not_its_folder(file: Path, tmp_path: Path):
+    """The service hands them on to strangers."""
+    for path in (file, openvino_file(tmp_path / "model.xml", file)):
+        with pytest.raises(InputError, match=rf"(?s)^{re.escape(path.name)} cannot be run: .*Export the model again"):
+            load_exported(path).run({INPUT: np.zeros((1, 3, 64, 64), np.float32), "foreign": np.zeros(1)}, std=True)
+
+
+def test_too_little_memory_for_openvino_is_told_as_it_is(
+    tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = openvino_file(tmp_path / "model.xml", file)
+
+    def full(*_: object) -> object:
+        raise RuntimeError("std::bad_alloc")
+
+    compiling, running = load_exported(path), load_exported(path)
+    pixels = {INPUT: np.zeros((1, 3, 64, 64), np.float32)}
+    running.run(pixels, std=True)
+    monkeypatch.setattr(openvino.CompiledModel, "create_infer_request", full)
+    with pytest.raises(RuntimeError, match=r"^std::bad_alloc"):
+        running.run(pixels, std=True)
+    monkeypatch.setattr(openvino.Core, "compile_model", full)
+    with pytest.raises(RuntimeError, match=r"^std::bad_alloc"):
+        compiling.run(pixels, std=True)
+
+
 def test_loops_are_not_run(tmp_path: Path):
     inner = helper.make_graph([], "inner", [], [helper.make_tensor_value_info("many", TensorProto.INT64, [2])])
     true = helper.make_node("Constant", [], ["true"], value=helper.make_tensor("true", TensorProto.BOOL, [], [True]))
     branch = helper.make_node("If", ["true"], ["x"], then_branch=inner, else_branch=inner)
     with pytest.raises(InputError, match="has a loop or a branch"):
         load_exported(onnx_file(tmp_path / "loop.onnx", true, branch))
+
+
+def of_openvino(kind: str) -> Any:
+    """A node that holds a graph of its own."""
+    x = operators.parameter([2], np.float32, name=INPUT)
+    inner = [operators.parameter([2], np.float32) for _ in range(2)]
+    true = operators.constant(np.array(True))
+    bodies = [openvino.Model([operators.relu(each), operators.constant(np.array(True))], [each]) for each in inner]
+    if kind == "If":
+        node = operators.if_op(true)
+        node.set_then_body(bodies[0])
+        node.set_else_body(bodies[1])
+        node.set_input(x.output(0), *inner)
+        node.set_output(bodies[0].results[0], bodies[1].results[0])
+    else:
+        node = operators.loop(operators.constant(np.array(3)), true) if kind == "Loop" else operators.tensor_iterator()
+        (node.set_function if kind == "Loop" else node.set_body)(bodies[0])
+        if kind == "Loop":
+            node.set_special_body_ports([-1, 1])
+        node.set_invariant_input(inner[0], x.output(0))
+        node.get_iter_value(bodies[0].results[0].output(0), -1)
+    node.constructor_validate_and_infer_types()
+    return openvino.Model([operators.result(node.output(0))], [x])
+
+
+@pytest.mark.parametrize("kind", ["If", "Loop", "TensorIterator"])
+def test_loops_of_openvino_are_not_run(kind: str, tmp_path: Path):
+    graph = of_openvino(kind)
+    assert kind in {node.get_type_name() for node in graph.get_ops()}
+    graph.set_rt_info(SOUND, METADATA)
+    openvino.save_model(graph, tmp_path / "loop.xml")
+    with pytest.raises(InputError, match=r"loop\.xml has a loop or a branch"):
+        load_exported(tmp_path / "loop.xml")
 
 
 def test_constants_of_openvino_are_no_larger_than_their_file(tmp_path: Path, file: Path):
@@ -270,9 +343,17 @@ def test_programs_of_torch_are_named(tmp_path: Path):
             load_model(tmp_path / name)
 
 
-@pytest.mark.parametrize(("packaged", "first"), [(True, "CPUExecutionProvider"), (False, "CUDAExecutionProvider")])
-def test_graphs_of_the_package_run_on_the_cpu_alone(
-    packaged: bool, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("packaged", "device", "first"),
+    [
+        (True, "auto", "CPUExecutionProvider"),
+        (False, "auto", "CUDAExecutionProvider"),
+        (False, "cuda", "CUDAExecutionProvider"),
+        (False, "cpu", "CPUExecutionProvider"),
+    ],
+)
+def test_graphs_of_the_package_and_those_for_the_cpu_run_there_alone(
+    packaged: bool, device: str, first: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where ONNX Runtime's package for GPUs is installed, too."""
     session, asked = onnxruntime.InferenceSession, list[str]()
@@ -284,8 +365,8 @@ def test_graphs_of_the_package_run_on_the_cpu_alone(
     available = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
     monkeypatch.setattr(onnxruntime, "InferenceSession", start)
-    load_exported(ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx"))
-    assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if packaged else 2)
+    load_for_prediction(ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx"), device=device)
+    assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if "CPU" in first else 2)
 
 
 def test_images_of_a_batch_are_computed_one_by_one_on_a_processor(monkeypatch: pytest.MonkeyPatch):

@@ -1,17 +1,27 @@
 """Files whose weights do not fit a model: each is an error that names the file and the damage."""
 
 import json
+import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
+from tests.weights.layouts.layouts import tiny
 
-from zoedepth.errors import InputError
+from zoedepth.config import INDOOR, OUTDOOR, AnyModelConfig
+from zoedepth.errors import InputError, InputWarning
+from zoedepth.model.linear import SWITCH
 from zoedepth.model.zoedepth import ZoeDepth
-from zoedepth.weights.fit import misfits
+from zoedepth.presets import PRESETS, in_training_cameras
+from zoedepth.weights import fit
+from zoedepth.weights.checkpoint import Checkpoint
+from zoedepth.weights.fit import misfits, model_of
+from zoedepth.weights.layouts import original
 from zoedepth.weights.load import load_model
 
 
@@ -39,6 +49,55 @@ def rewrite_config(path: Path, change: Callable[[dict], object]) -> None:
         metadata["config"] = json.dumps(config)
 
     rewrite(path, metadata=apply)
+
+
+HUGE = 10**10
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        ({"type": "dorn", "n_intervals": HUGE}, "n_intervals must be 2 to 10,000"),
+        ({"type": "newcrfs", "n_blocks": HUGE}, "makes no model of"),
+        ({"type": "adabins", "n_layers": HUGE}, "makes no model of"),
+    ],
+)
+def test_config_that_asks_for_more_than_the_file_can_hold_builds_nothing(
+    head: dict[str, Any], message: str, file: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(fit, "build_model", lambda _: pytest.fail("it was built"))
+    rewrite_config(file, lambda config: config.update(head=head))
+    with pytest.raises(InputError, match=message):
+        load_model(file)
+
+
+def test_wrong_setting_of_the_machine_is_not_blamed_on_the_weights(file: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv(SWITCH, "true")
+    with pytest.raises(InputError, match=f"^{SWITCH} is 'true'"):
+        load_model(file)
+
+
+def test_one_head_of_the_original_that_is_no_release_is_said_and_may_be_kittis():
+    config, weights, *_ = tiny()
+    theirs = original.write(config, weights)
+
+    def loaded(*compat: str) -> AnyModelConfig:
+        read, ours, _ = original.read(theirs)
+        return model_of(Checkpoint(read, ours, "original", str), source="own.pt", compat=compat).config
+
+    with pytest.warns(InputWarning, match=r"^own\.pt does not say which data .* 10 m.*--compat 80m"):
+        near = loaded()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)
+        far = loaded("80m")
+    assert near.domains == in_training_cameras(replace(near, domains=(INDOOR,))).domains
+    assert far == in_training_cameras(replace(near, domains=(OUTDOOR,)))
+
+
+def test_released_checkpoint_of_one_head_is_nyus_without_a_warning():
+    released = PRESETS["zoed-m12-n"]
+    assert not fit._is_taken_for_nyus(released)
+    assert fit._is_taken_for_nyus(replace(released, encoder=replace(released.encoder, taps=(0, 1, 2, 3))))
 
 
 def test_weights_of_the_model_itself_fit(tiny_model: ZoeDepth):

@@ -197,6 +197,24 @@ def test_offline_without_the_model(hub: FakeHub, home: Path):
     assert hub.requests == []
 
 
+def test_size_of_photos_is_not_guessed_without_the_network(hub: FakeHub, home: Path):
+    """Of a model of transformers whose weights are here: the file with the size may be at the Hub. Cards may lack."""
+    hub.repos["lab/model"] |= {"config.json": b'{"model_type": "zoedepth"}', "preprocessor_config.json": b"{}"}
+    files = [
+        f"__import__('huggingface_hub').hf_hub_download({name!r}, {file!r})"
+        for name in ("lab/model", "lab/gated")
+        for file in MODEL
+    ]
+    run(hub.environment(home, token=hub.token), *files)
+    theirs, ours = run(hub.environment(home, offline=True), "fetch('lab/model')", "fetch('lab/gated')")
+    assert theirs.startswith("InputError: preprocessor_config.json of lab/model is not in the cache")
+    check(ours)
+    (fetched,) = run(hub.environment(home), "fetch('lab/model')")
+    assert (Path(fetched) / "preprocessor_config.json").is_file()
+    hub.close()
+    assert run(hub.environment(home), "fetch('lab/model')") == [fetched]
+
+
 def test_no_network_and_no_model(hub: FakeHub, home: Path):
     hub.close()
     (message,) = run(hub.environment(home), "fetch('lab/model')")

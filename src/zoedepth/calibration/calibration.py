@@ -13,6 +13,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.points import known_depth
 from zoedepth.images import DepthArray, atomic_path
+from zoedepth.presets import PRESETS
 from zoedepth.stored import read_json, to_json
 
 COVERAGE = 0.8
@@ -151,10 +152,9 @@ class Calibration:
     def to_json(self) -> dict[str, Any]:
         """Return plain values for JSON, from which ``from_json`` makes this calibration again.
 
-        Of more than ``MAX_KEPT`` readings some are left out, except from their number.
+        Of more than ``MAX_KEPT`` readings some are left out, except from their number: evenly, of each photo as many.
         """
-        step = max(1, -(-len(self.readings) // MAX_KEPT))
-        return asdict(replace(self, readings=self.readings[::step]))
+        return asdict(replace(self, readings=_thinned(self.readings)))
 
     @classmethod
     def from_json(cls, values: dict[str, Any], *, where: str = "calibration") -> "Calibration":
@@ -213,6 +213,21 @@ def read_calibration(path: str | Path) -> Calibration:
     return Calibration.from_json(values[_KIND], where=str(path))
 
 
+def _thinned(readings: tuple[Reading, ...]) -> tuple[Reading, ...]:
+    """Return ``MAX_KEPT`` readings at most, evenly spread over each photo, and all photos with the same number.
+
+    A photo of which nothing is left would have no say when others are added. Of more photos than that, one of each.
+    """
+    if len(readings) <= MAX_KEPT:
+        return readings
+    of_photo: dict[str, list[Reading]] = {}
+    for reading in readings:
+        of_photo.setdefault(reading.photo, []).append(reading)
+    share = max(1, MAX_KEPT // len(of_photo))
+    kept = [each[:: -(-len(each) // share)] for each in of_photo.values()]
+    return tuple(reading for each in kept for reading in each)
+
+
 def _transformed(depth: DepthArray, scale: float, power: float) -> DepthArray:
     """Return scale * depth ** power where there is depth; what is none stays as it is."""
     if power == 1:
@@ -222,10 +237,14 @@ def _transformed(depth: DepthArray, scale: float, power: float) -> DepthArray:
 
 
 def _one_network(one: str, other: str) -> bool:
-    """Return True if two names are of one model: they are equal, or one is a path and the other its file's name."""
-    return one == other or any(
-        PurePath(name).suffix != "" and name == PurePath(path).name for name, path in ((one, other), (other, one))
-    )
+    """Return True if two names may be of one model: one is the other, or the end of its path.
+
+    A folder that is called as a published model is another one.
+    """
+    if one in PRESETS or other in PRESETS:
+        return one == other
+    names = (PurePath(name).parts[::-1] for name in (one, other))
+    return all(a == b for a, b in zip(*names, strict=False))
 
 
 def _check_number(name: str, value: float, low: float, high: float) -> None:

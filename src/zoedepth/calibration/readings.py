@@ -131,7 +131,7 @@ def measure(
             f"they have shape {readings.shape}"
         )
     else:
-        listed = [_checked(reading, depth.shape) for reading in readings]
+        listed = _thinned([_checked(reading, depth.shape) for reading in readings], known)
     if not listed:
         raise InputError("there is no reading: give at least one point and its depth in metres")
     depths, roughness = np.full((len(listed), 2), np.nan), np.full((len(listed), 2), np.nan)
@@ -200,17 +200,14 @@ def spread_of(roughness: Float[np.ndarray, "*places"]) -> Float[np.ndarray, "*pl
     return np.sqrt(1 + (roughness / _ROUGH) ** 2)
 
 
-def _of_map(
-    sparse: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "height width"]
-) -> list[tuple[tuple[tuple[float, float], ...], float]]:
+_Listed = tuple[tuple[tuple[float, float], ...], float]
+"""A point, or the two of a distance, and metres."""
+
+
+def _of_map(sparse: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "height width"]) -> list[_Listed]:
     """Return the readings of a sparse depth map, spread evenly over it where they are many."""
     measured = known_depth(sparse)
-    mark = find_mark([glance("", "", sparse[measured])])
-    if mark is not None and mark.certain:
-        raise InputError(
-            f"{mark.share:.1%} of the sparse depth map hold its largest value, {mark.value:.6g} m, and nearly all "
-            f"others are nearer than {mark.others:.4g} m: it stands for unknown. Write 0 there"
-        )
+    _refuse_mark(sparse[measured], "sparse depth map")
     rows, columns = np.nonzero(measured & known)
     if not len(rows):
         raise InputError("the sparse depth map has no reading at a pixel with valid depth: is it of this photo?")
@@ -222,7 +219,30 @@ def _of_map(
     ]
 
 
-def _checked(reading: Any, size: tuple[int, ...]) -> tuple[tuple[tuple[float, float], ...], float]:
+def _thinned(listed: list[_Listed], known: Bool[np.ndarray, "height width"]) -> list[_Listed]:
+    """Return some of very many readings, as of a sparse depth map: nobody has typed them, one by one."""
+    if len(listed) <= MAX_USED:
+        return listed
+    _refuse_mark(np.array([metres for _, metres in listed], np.float32), "readings")
+    places = (np.floor(np.array([points[0] for points, _ in listed]) + 0.5).astype(int)).T
+    here = known[places[1].clip(0, known.shape[0] - 1), places[0].clip(0, known.shape[1] - 1)]
+    kept = [reading for reading, there in zip(listed, here, strict=True) if there or len(reading[0]) > 1]
+    if not kept:
+        raise InputError("no reading is at a pixel with valid depth: are they of this photo?")
+    return kept[:: -(-len(kept) // MAX_USED)]
+
+
+def _refuse_mark(metres: Float[np.ndarray, " readings"], what: str) -> None:
+    """Refuse measured depths of which many are one large value that stands for unknown."""
+    mark = find_mark([glance("", "", metres)])
+    if mark is not None and mark.certain:
+        raise InputError(
+            f"{mark.share:.1%} of the {what} hold the largest value, {mark.value:.6g} m, and nearly all others are "
+            f"nearer than {mark.others:.4g} m: it stands for unknown. Write 0 there, or leave them out"
+        )
+
+
+def _checked(reading: Any, size: tuple[int, ...]) -> _Listed:
     """Return the points and the metres of a reading.
 
     Raises:

@@ -42,8 +42,9 @@ def undo_files(sidecar: Path) -> list[Path]:
         The files that were replaced, the sidecar last.
 
     Raises:
-        InputError: there is no such sidecar, no file holds the depth, a file is gone or is not from this package, or
-            one of them shows the photo, which is gone or another by now.
+        InputError: there is no such sidecar, no file holds the depth, a file is gone or is not from this package, files
+            of earlier commands are there, the depth was put back already, or one of the files shows the photo, which is
+            gone or another by now.
     """
     values = sidecars.read_sidecar(sidecar)
     if values is None or not isinstance(values.get("calibration"), dict):
@@ -53,6 +54,12 @@ def undo_files(sidecar: Path) -> list[Path]:
     for name, file in files.items():
         if name not in OUTPUTS or Path(values["files"][name]).name != values["files"][name] or not is_own_file(file):
             raise InputError(f"{file} is gone, or not from zoedepth: put it back. {_AGAIN}")
+    earlier = sorted(sidecars.listed(values) - set(values["files"].values()))
+    if there := [name for name in earlier if (sidecar.parent / name).exists()]:
+        raise InputError(
+            f"{sidecar.parent / there[0]} is of an earlier command, and nobody can tell whether with this calibration: "
+            f"remove it. {_AGAIN}"
+        )
     maps = _maps_before(values, files, calibration)
     scale = values.get("png_scale")
     depth = maps.depth if maps.depth is not None else np.zeros(0)  # these maps have one
@@ -75,7 +82,9 @@ def _maps_before(values: Mapping[str, Any], files: Mapping[str, Path], calibrati
     exact = [name for name in _EXACT if name in files]
     if not exact:
         raise InputError(f"none of the files of {values['source']} holds its depth in metres. {_AGAIN}")
-    depth = calibration.undo(read_depth(files[exact[0]]))
+    calibrated = read_depth(files[exact[0]])
+    _check_calibrated(calibrated, values, files[exact[0]])
+    depth = calibration.undo(calibrated)
     camera = values.get("camera")
     return Maps(
         depth=depth,
@@ -84,6 +93,20 @@ def _maps_before(values: Mapping[str, Any], files: Mapping[str, Path], calibrati
         camera=from_dict(Camera, camera, where="camera") if isinstance(camera, dict) else None,
         depth_range=_range_before(values.get("depth_range"), calibration),
     )
+
+
+def _check_calibrated(depth: DepthArray, values: Mapping[str, Any], file: Path) -> None:
+    """Refuse depth that is not the one that the sidecar tells: a command that was killed has put it back already."""
+    told, scale, found = values.get("depth"), values.get("png_scale"), float(np.median(depth))
+    median = told.get("median") if isinstance(told, dict) else None
+    if not isinstance(median, int | float):
+        return
+    rounding = 1e-4 + (0.5 / scale if isinstance(scale, int | float) else 0)
+    if abs(found - median) > rounding + 1e-3 * median:
+        raise InputError(
+            f"{file} has a median depth of {found:.4g} m, and its sidecar says {median:.4g} m: it has been put back "
+            f"already, or changed. {_AGAIN}"
+        )
 
 
 def _range_before(told: object, calibration: Calibration) -> tuple[float, float]:

@@ -71,7 +71,7 @@ def calibrate(
             by one factor both ways.
         depth_scale: stored value of one metre in it, 1000 for millimetres or 256 for KITTI's, where it does not say so.
         along_ray: readings of --at and --depth are from the lens to the thing, as a tape measure or a laser gives them,
-            and not along the optical axis. In the middle of a photo it is the same.
+            and not along the optical axis. In the middle of a photo it is the same. It needs a known camera, too.
         form: scale-shift also fits a power of the depth, where readings that are left out say that this predicts them
             better.
         out: file to keep the calibration in.
@@ -119,7 +119,6 @@ def calibrate(
         raise InputError("--add adds to the readings that a file has: name it by --out")
     sparse = None if depth is None else _read_sparse(depth, photo, scale=depth_scale)
 
-    from zoedepth.calibration import calibrate as fit
     from zoedepth.calibration import check_replaceable, places_to_measure, read_calibration, write_calibration
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
@@ -158,12 +157,6 @@ def calibrate(
         places = places_to_measure(result.depth, result.valid)
         proposed = ", ".join(f"{x},{y} ({result.depth[y, x]:.2f} m by the model)" for x, y in places)
         raise InputError(f"give what was measured: --at X,Y=METRES. Good places in this photo are {proposed}")
-    if (between or along_ray) and result.camera.source == "assumed":
-        raise InputError(
-            f"{'--between' if between else '--along-ray'} needs the camera of {photo}, which is not known "
-            f"({result.camera_note or 'nobody says it'}): say the field of view (--fov-x, --fov-diagonal), or measure "
-            "depth along the optical axis (--at)"
-        )
     if earlier is not None and (
         reasons := earlier.mismatches(
             camera=result.camera, network=model, domain=result.domain, focal_corrected=result.focal_correction != 1
@@ -175,17 +168,10 @@ def calibrate(
         Console(stderr=True, highlight=False).print(
             f"note: the readings of {photo} that {out} had are replaced", soft_wrap=True, markup=False
         )
-    found = fit(
-        result.depth,
-        readings if sparse is None else sparse,
-        camera=result.camera,
-        valid=result.valid,
-        along_ray=along_ray,
-        form=form,
-        photo=name,
-        earlier=earlier,
+    found = result.find_calibration(
+        readings if sparse is None else sparse, along_ray=along_ray, form=form, photo=name, earlier=earlier
     )
-    found = replace(found, network=model, domain=result.domain, focal_corrected=result.focal_correction != 1)
+    found = replace(found, network=model)
     if out is not None:
         write_calibration(out, found)
     if json_:
@@ -301,7 +287,7 @@ def _undo(place: Path) -> int:
     for sidecar in sidecars:
         try:
             files = undo_files(sidecar)
-        except InputError as error:
+        except (InputError, OSError) as error:  # such as a file that another program holds open
             if len(sidecars) == 1:
                 raise
             failed += 1

@@ -8,7 +8,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.geometry.camera_files import read_cameras
 from zoedepth.geometry.choice import CameraChoice
-from zoedepth.geometry.lens import Lens, camera_of, off_middle
+from zoedepth.geometry.lens import Lens, camera_of
 from zoedepth.images import read_image
 
 
@@ -56,13 +56,7 @@ def chosen_camera(
             raise InputError(f"--camera must be exif, none or a file of a camera; there is no file {camera!r}")
         return read_cameras(Path(camera), _size_of_first(photos))
     if intrinsics is not None:
-        known = camera_of(Intrinsics(*intrinsics), _size_of_first(photos))
-        if off := off_middle(known):
-            raise InputError(
-                f"--intrinsics: {off}. Are they of photos of another size, or was this one cropped? Write the size and "
-                "the intrinsics to a file, and give it by --camera"
-            )
-        return known
+        return camera_of(Intrinsics(*intrinsics), _size_of_first(photos))
     if focal_px is not None:
         return camera_of(Lens(focal_px=focal_px), _size_of_first(photos))
     if names and camera is None:

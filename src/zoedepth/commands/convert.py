@@ -30,8 +30,8 @@ def convert(
             transformers).
         name: title of the model card; without it, the target's name.
         licence: licence of the weights, as the Hub writes it: mit, cc-by-nc-4.0 ...; without it, that of the source.
-        compat: facts that the file does not hold, to be written into the config: 80m says that a baseline's weights
-            are KITTI's.
+        compat: facts that the file does not hold, to be written into the config: 80m says that the weights of a
+            baseline, or of the original with one head, are KITTI's.
     """
     from zoedepth.commands.progress import download_progress
     from zoedepth.presets import with_compat

@@ -11,9 +11,6 @@ from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.stored import to_json
 
-MAX_CALIBRATION = 300
-"""Largest number of photos that int8 is calibrated on."""
-
 
 def export(
     model: tyro.conf.Positional[str],
@@ -44,10 +41,12 @@ def export(
     from zoedepth.batch import find_photos
     from zoedepth.commands.progress import download_progress
     from zoedepth.export.write import SUFFIXES, check_wish, export_model
+    from zoedepth.runtimes.benchmark import MAX_CALIBRATION
     from zoedepth.weights.load import load_model
 
-    name = Path(model).stem + ("-int8" if int8 else "")
-    path = out or Path(name + SUFFIXES[to])
+    source = Path(model)
+    name = source.stem if source.is_file() else source.name  # what stands behind a dot of a folder is no format
+    path = out or Path(f"{name}{'-int8' if int8 else ''}{SUFFIXES[to]}")
     # What is wrong with the wish is said before a model is downloaded.
     check_wish(path, to=to, int8=int8, size=size)
     check_writable(path.parent, option="--out")

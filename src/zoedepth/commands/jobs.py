@@ -50,7 +50,7 @@ def status(
     Args:
         out: the --out of the job: a folder, or a prefix of a store.
         failed: print the photos that have failed instead, one in a line, with the error behind a tab.
-        json_: print one JSON object a line for each shard.
+        json_: print one JSON object a line for each shard, or with --failed for each photo that has failed.
     """
     from zoedepth.jobs.report import missing_shards, read_failures, read_status
 
@@ -58,7 +58,8 @@ def status(
         n_failed = 0
         for entry in read_failures(out):
             n_failed += 1
-            print(f"{entry.input}\t{' '.join((entry.error or '').split())}")
+            error = " ".join((entry.error or "").split())
+            print(to_json({"input": entry.input, "error": error}) if json_ else f"{entry.input}\t{error}")
         return EXIT_FAILED if n_failed else 0
     found = read_status(out)
     for each in found if json_ else ():

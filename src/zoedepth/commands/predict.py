@@ -36,9 +36,6 @@ if TYPE_CHECKING:
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
 
-_FIRST = 64
-"""Photos that are listed before the first is predicted, at most: of fewer, all is known then."""
-
 _MOST_FAILURES = 1000  # that are told; the manifest has all
 _PATIENCE = 9.0  # seconds that photos in hand have after SIGTERM
 
@@ -175,7 +172,7 @@ def predict(
     from zoedepth.calibration import read_calibration
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.streams import STREAM, standard_streams
-    from zoedepth.jobs.inputs import Sources, begin
+    from zoedepth.jobs.inputs import N_FIRST, Sources, begin
     from zoedepth.jobs.origins import is_address
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.shard import JobShard
@@ -188,8 +185,6 @@ def predict(
     stored = is_address(out)
     if not out:
         raise InputError("--out is empty: give a folder, or . for this one")
-    if not preview and set(save) == {"preview"}:
-        raise InputError("--save preview writes what --no-preview leaves out: give one of them")
     if not stored and Path(out).exists() and not Path(out).is_dir():
         raise InputError(f"--out {out} is a file: give a folder")
     if workers is not None and workers < 0:
@@ -212,6 +207,11 @@ def predict(
         kind = "relative" if relative else "depth"
         names = output_names(save or ((kind,) if streamed else (kind, "preview")), map=kind)
         names = tuple(name for name in names if preview or name != "preview")
+        if not names:
+            raise InputError(
+                "--save names nothing to write, or the preview alone, which --no-preview leaves out: name a kind of "
+                "file, or leave one of the options out"
+            )
         return Request(
             model,
             names,
@@ -227,7 +227,7 @@ def predict(
     with standard_streams(sources, Path(out), kinds=wanted.names, json_=json_) as (sources, folder):
         listing = Sources(tuple(sources), column, part, out if stored else "")
         inputs = listing.inputs()
-        first, all_known = begin(inputs, _FIRST)
+        first, all_known = begin(inputs, N_FIRST)
         if json_:
             for path, reason in listing.found.unreadable.items():
                 _print_json(path, error=reason)
@@ -239,13 +239,13 @@ def predict(
             searched = ", ".join(sources) or "no source given"
             n_ignored = listing.found.n_ignored
             # Other shards may have them all.
-            if part.count > 1 and listing.first is not None and not listing.found.unreadable:
+            if part.count > 1 and listing.firsts and not listing.found.unreadable:
                 console.print(f"No photos in shard {part} ({escape(searched)}): nothing to do", soft_wrap=True)
                 return 0
             console.print(f"No photos to predict ({escape(searched)}; {n_ignored} other files).", soft_wrap=True)
             return EXIT_NOTHING_TO_DO
         # All shards of a job take the size of one photo, whichever of them has it.
-        sized = first if part.count == 1 or listing.first is None else [listing.first]
+        sized = first if part.count == 1 else listing.firsts
         known_camera = chosen_camera(
             (photo.path if photo.origin is None else BytesIO(photo.origin.read()) for photo in sized),
             camera=camera,
@@ -334,7 +334,9 @@ def predict(
                         overwrite=overwrite,
                         tell_done=tell_done,
                     )
-                report = _Report(listing, place, tally, console, told, json_=json_, streamed=streamed)
+                report = _Report(
+                    listing, place, tally, console, told, json_=json_, streamed=streamed, overwrite=overwrite
+                )
                 return report.of(results)
 
 
@@ -398,9 +400,12 @@ class _Report:
         *,
         json_: bool,
         streamed: bool,
+        overwrite: bool,
     ) -> None:
         self.listing, self.place, self.tally, self.console = listing, place, tally, console
         self.told, self.json, self.streamed = told, json_, streamed
+        again = "the same command without --overwrite" if overwrite else "the same command again"
+        self.how_to_go_on = f"To go on, type {again}: what is done is not done twice."
         self.failures: list[str] = []
         self.notes = Counter[str]()
         self.last: Done | None = None
@@ -424,7 +429,7 @@ class _Report:
         n_failed = self._tell(error)
         self.console.print(f"{state}{self._sum(n_failed)}", soft_wrap=True)
         if state and not self.streamed:
-            self.console.print("To go on, type the same command again: what is done is not done twice.")
+            self.console.print(self.how_to_go_on)
         return code or (EXIT_FAILED if n_failed else 0)
 
     def _take(self, done: "Done") -> None:
@@ -477,7 +482,7 @@ class _Report:
         """End the process at once: the photos in hand take too long for whoever has sent SIGTERM."""
         self.console.print(
             f"Terminated: {self._sum(self.tally.failed)}. The photos in hand took longer than {_PATIENCE:g} s, and "
-            "were left. To go on, type the same command again",
+            f"were left. {self.how_to_go_on}",
             soft_wrap=True,
         )
         os._exit(EXIT_TERMINATED)

@@ -6,7 +6,7 @@ The networks are in ``baselines/``. This file does not import torch.
 from dataclasses import dataclass
 from typing import Literal
 
-from zoedepth.config.checks import require, require_crf_widths
+from zoedepth.config.checks import require, require_crf_widths, require_intervals
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class DornNetworkConfig:
     """See ``DornConfig.decode``."""
 
     def __post_init__(self) -> None:
-        require(self.n_intervals >= 2, "network.n_intervals", "at least 2", self.n_intervals)
+        require_intervals(self.n_intervals, "network")
         require(min(self.rates) >= 1, "network.rates", "three dilations of at least 1", self.rates)
         require(self.pooling >= 1, "network.pooling", "at least 1", self.pooling)
 

@@ -19,6 +19,23 @@ def require(condition: bool, name: str, expected: str, value: object) -> None:
         raise InputError(f"{name} must be {expected}; it is {value!r}")
 
 
+MAX_INTERVALS = 10_000
+"""Most intervals that DORN may have: each has its edge in a list, which must not fill the memory."""
+
+
+def require_intervals(n_intervals: int, where: str) -> None:
+    """Check the number of DORN's intervals of depth, in its head or in the baseline.
+
+    Args:
+        n_intervals: the number.
+        where: part of the model that has this field.
+
+    Raises:
+        InputError: there are too few or too many.
+    """
+    require(2 <= n_intervals <= MAX_INTERVALS, f"{where}.n_intervals", f"2 to {MAX_INTERVALS:,}", n_intervals)
+
+
 def require_crf_widths(widths: tuple[int, ...], heads: tuple[int, ...], seed_width: int, where: str) -> None:
     """Check the widths of NeWCRFs' levels, in its head or in the baseline.
 

@@ -7,7 +7,7 @@ Each difference to the released code and to the paper's other methods is a value
 from dataclasses import dataclass
 from typing import Literal
 
-from zoedepth.config.checks import require, require_crf_widths
+from zoedepth.config.checks import require, require_crf_widths, require_intervals
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class DornConfig:
     """True: predict from the bottleneck, through DORN's five-branch scene module. False: from the finest level."""
 
     def __post_init__(self) -> None:
-        require(self.n_intervals >= 2, "head.n_intervals", "at least 2", self.n_intervals)
+        require_intervals(self.n_intervals, "head")
 
 
 @dataclass(frozen=True)

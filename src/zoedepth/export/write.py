@@ -22,7 +22,7 @@ from torch import Tensor
 
 from zoedepth import __version__
 from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetworkConfig, to_dict
-from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
+from zoedepth.errors import FullDiskError, InputError, MissingExtraError, ZoeDepthError
 from zoedepth.export.first_layers import keep_in_float32
 from zoedepth.export.int8 import TOLERANCE_INT8, mean_rel, prepared, quantized, some
 from zoedepth.export.wrapper import ExportModel
@@ -168,7 +168,7 @@ def _check_room(model: DepthModel, folder: Path) -> None:
     """Refuse a disk that has no room for the weights, twice: for the file, and for the one it is made from."""
     needed = 2 * sum(weight.numel() * weight.element_size() for weight in model.parameters())
     if (free := shutil.disk_usage(folder).free) < needed:
-        raise InputError(
+        raise FullDiskError(
             f"the disk of {folder} has {free:,} bytes free, and the export needs about {needed:,}: make room, or write "
             "to another place"
         )

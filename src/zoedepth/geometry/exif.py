@@ -46,6 +46,10 @@ class _Unknown(Exception):
     """Raised where notes do not tell the camera: the message says why."""
 
 
+class _Contradiction(_Unknown):
+    """Raised where notes contradict what is known of the camera, so that no other of them can be trusted either."""
+
+
 class _Unsaid(Exception):
     """Raised where notes say nothing of the kind that is asked for."""
 
@@ -96,6 +100,8 @@ def _focal(notes: PhotoNotes, size: tuple[int, int]) -> tuple[float, str]:
                 raise _Unknown(f"{known_by}, a field of view of {fov:.3g} degrees, which is nonsense")
         except _Unsaid:
             continue
+        except _Contradiction:
+            raise
         except _Unknown as complaint:
             complaints.append(str(complaint))
             continue
@@ -178,6 +184,13 @@ def _by_focal_plane(notes: PhotoNotes, taken: tuple[int, int]) -> tuple[float, s
     diagonal = math.hypot(*taken) / resolution
     if not _MIN_SENSOR <= diagonal <= _MAX_SENSOR:
         raise _Unknown(f"{known_by}, which would be {diagonal:.3g} mm from corner to corner")
+    sensor = sensor_size(_text(notes, _TAGS.Make), _text(notes, _TAGS.Model))
+    # Programs that make a photo smaller may write its new size, and keep the resolution of the sensor.
+    if sensor is not None and not 1 / _MAX_OFF_SENSOR <= diagonal / math.hypot(*sensor) <= _MAX_OFF_SENSOR:
+        raise _Contradiction(
+            f"{known_by}, which would be {diagonal:.3g} mm from corner to corner, and the sensor of this model has "
+            f"{math.hypot(*sensor):.3g}: nobody can tell whether the photo was resized or cropped"
+        )
     return lens * resolution, known_by
 
 

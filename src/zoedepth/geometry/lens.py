@@ -88,12 +88,19 @@ def camera_of(known: KnownCamera, size: tuple[int, int]) -> Camera:
 
     Raises:
         InputError: the camera is that of a photo of other proportions, or would see less than 1 or more than 160
-            degrees of it.
+            degrees of it; or intrinsics do not look through the middle half of the photo.
     """
     if isinstance(known, Lens):
         return _checked(known.camera(size))
     if isinstance(known, Intrinsics):
-        return _checked(Camera.of(known, size))
+        camera = _checked(Camera.of(known, size))
+        if off := off_middle(camera):
+            raise InputError(
+                f"the intrinsics: {off}. Are they of photos of another size, or was this one cropped? Scale them to "
+                "the size of this photo, or give the whole camera with the size of its photos: as a file (--camera), "
+                "or, from Python, a Camera"
+            )
+        return camera
     if isinstance(known, Cameras):
         return known.chosen(size)
     if known.size == size:

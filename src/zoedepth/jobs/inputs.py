@@ -59,6 +59,9 @@ COLUMNS = ("image", "photo", "path", "file", "filename", "file_name", "image_pat
 MAX_HELD = 1 << 28
 """Bytes of compressed archives that are held before the first photo is predicted: beyond, no more members are read."""
 
+N_FIRST = 64
+"""Inputs that are listed before the work begins: to see whether there are any, and which size their photos have."""
+
 _TOGETHER = 1000  # lines and members that get their targets together
 _MAX_LINE = 1 << 16  # letters
 
@@ -88,8 +91,8 @@ class Sources:
 
     These files are not opened to see whether this package wrote them. It may be set while the inputs are listed: it is
     asked from the next folder on."""
-    first: Input | None = None
-    """The first input that was listed, of whatever shard; None until there is one."""
+    firsts: list[Input] = field(default_factory=list)
+    """The first inputs that were listed, of whatever shard, ``N_FIRST`` at most: all shards of a job have the same."""
 
     def __post_init__(self) -> None:
         written = f"{self.out.rstrip('/')}/"
@@ -119,7 +122,7 @@ class Sources:
         if any(source_kind(name) == "tar" for name in self.names):
             raise InputError("the members of a tar file are not counted first")
         # In a thread of its own, which may outlive the manifest that ``known`` asks.
-        return replace(self, found=Found(), known=None).inputs()
+        return replace(self, found=Found(), known=None, firsts=[]).inputs()
 
     def _inputs(self, found: Found) -> Iterator[Input]:
         seen, taken = Names(), Names()
@@ -172,8 +175,9 @@ class Sources:
     def _of_shard(self, inputs: Iterable[Input]) -> Iterator[Input]:
         """Yield those that belong to the shard, and remember the first of all."""
         for each in inputs:
-            if self.first is None:
-                self.first = each
+            # Of an archive whose photos are held themselves, one is enough.
+            if len(self.firsts) < N_FIRST and not (self.firsts and isinstance(each.origin, Held)):
+                self.firsts.append(each)
             if self.shard.holds(each.place):
                 yield each
 
@@ -270,6 +274,8 @@ def _of_lines(name: str, lines: Iterable[str], found: Found) -> Iterator[_Listed
     folder = name.rpartition("/")[0] if away else os.path.dirname(name)
     finder = Finder(Path(folder), anywhere=True)
     for line in lines:
+        if line.startswith("#") and not Path(folder, line).exists():  # a comment, as in lists for training
+            continue
         if is_address(line):
             yield _of_address(line, whole=True)
         elif away:

@@ -1,9 +1,13 @@
 """A set of names that may be far larger than the memory."""
 
+import errno
 import hashlib
+import os
 import sqlite3
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 _CACHE = 512
 """Kilobytes of memory of a temporary database. SQLite's own 2000 are no faster with keys that come in no order."""
@@ -41,9 +45,39 @@ class Names:
         self._database.close()
 
 
-def temporary_database() -> sqlite3.Connection:
-    """Return a database on disk without a name, which SQLite deletes when it is closed, also by a kill."""
-    database = sqlite3.connect("", isolation_level=None, check_same_thread=False)
+class TemporaryDatabase(sqlite3.Connection):
+    """A database on disk without a name, which SQLite deletes when it is closed, also by a kill."""
+
+    def execute(self, sql: str, values: Any = ()) -> sqlite3.Cursor:
+        """See ``sqlite3.Connection``.
+
+        Raises:
+            OSError: the disk for temporary files is full.
+        """
+        with _full_disk_is_told():
+            return super().execute(sql, values)
+
+    def executemany(self, sql: str, rows: Any) -> sqlite3.Cursor:
+        """See ``execute``."""
+        with _full_disk_is_told():
+            return super().executemany(sql, rows)
+
+
+@contextmanager
+def _full_disk_is_told() -> Iterator[None]:
+    try:
+        yield
+    except sqlite3.OperationalError as error:
+        if "full" not in str(error):
+            raise
+        folder = os.environ.get("SQLITE_TMPDIR") or os.environ.get("TMPDIR") or "/var/tmp"
+        full = f"the disk for temporary files is full: make room, or name another by TMPDIR ({error})"
+        raise OSError(errno.ENOSPC, full, folder) from error
+
+
+def temporary_database() -> TemporaryDatabase:
+    """Return an empty temporary database."""
+    database = sqlite3.connect("", isolation_level=None, check_same_thread=False, factory=TemporaryDatabase)
     database.execute("PRAGMA synchronous = OFF")
     database.execute("PRAGMA journal_mode = OFF")
     database.execute(f"PRAGMA cache_size = -{_CACHE}")

@@ -15,7 +15,7 @@ from zoedepth.jobs.store import Store
 from zoedepth.jobs.stored_manifest import StoredManifest
 from zoedepth.lock import HeldError, lock_file
 
-_FILE = re.compile(rf"{NAME}(?:-(\d+)-of-(\d+))?(?:\.jsonl)?")
+_FILE = re.compile(rf"{NAME}(?:-(\d+)-of-(\d+))?(\.jsonl)?")
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,8 @@ def find_manifests(out: str) -> dict[JobShard, str]:
         names = [path.name for path in Path(out).iterdir()]
     found = {}
     for match in filter(None, map(_FILE.fullmatch, names)):
+        if match[3] is None and not is_address(out):  # a store's, copied to a folder: it is a folder of parts
+            continue
         shard = JobShard() if match[1] is None else JobShard(int(match[1]), int(match[2]))
         found[shard] = manifest_name(shard)
     if not found:
@@ -115,7 +117,9 @@ def merge_shards(out: str) -> int:
             a store.
     """
     if is_address(out):
-        raise InputError(f"{out}: manifests are merged in a folder. Copy them to one, merge, and copy the result back")
+        raise InputError(
+            f"{out}: manifests are merged in folders, and not in stores. Go on there with the same number of shards"
+        )
     folder, names = Path(out), list(find_manifests(out).values())
     whole = manifest_name(JobShard())
     if names == [whole]:

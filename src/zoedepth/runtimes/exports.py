@@ -69,7 +69,8 @@ def exported_file(
 
     Raises:
         ExportError: the exported model computes another depth.
-        InputError: the model cannot be exported, or the disk is full.
+        InputError: the model cannot be exported.
+        FullDiskError: the disk has too little room.
         OSError: nothing can be written to the cache.
     """
     if runtime.suffix == ".onnx" and (packaged := packaged_graph(source)) is not None:

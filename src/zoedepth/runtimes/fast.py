@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zoedepth.download import Progress
-from zoedepth.errors import InputError, ZoeDepthError
+from zoedepth.errors import FullDiskError, InputError, ZoeDepthError
 from zoedepth.forward.answer import Precision
 from zoedepth.images import read_image
 from zoedepth.predict import Predictor
@@ -162,7 +162,7 @@ def decide(
     """
     packaged = packaged_graph(source) is not None
     chosen = BASE
-    failures: list[Exception] = []
+    holds = True
     reasons: list[str] = []
     if machine.accelerator is not None:
         chosen = Runtime(BASE.library, "float32", on_gpu=True)
@@ -174,7 +174,8 @@ def decide(
             try:
                 _file(source, runtime, "", tell)
             except (ZoeDepthError, OSError) as error:
-                failures.append(error)
+                # A model that another runtime cannot hold stays so. A full disk does not.
+                holds = holds and not isinstance(error, FullDiskError | OSError)
                 reasons.append(f"{library} was left out: {error}")
                 continue
             chosen = runtime
@@ -196,7 +197,8 @@ def decide(
                         *(_predictor(source, runtime, tell) for runtime in (chosen, half))
                     )
             except (ZoeDepthError, OSError) as error:
-                failures.append(error)
+                # The model has been exported: this is a lack of memory, or of room.
+                holds = holds and not isinstance(error, InputError | OSError)
                 reasons.append(f"bfloat16 failed: {error}")
             else:
                 reasons.append(f"the model is {times:.2f} times as fast, with a REL of {rel:.1e}")
@@ -210,8 +212,7 @@ def decide(
         versions(),
         date.today().isoformat(),
     )
-    # A model that another runtime cannot hold stays so. A full disk does not.
-    return choice, not any(isinstance(error, InputError | OSError) for error in failures)
+    return choice, holds
 
 
 def order(*, packaged: bool) -> tuple[Library, ...]:

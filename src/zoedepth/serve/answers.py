@@ -154,14 +154,20 @@ def encode(result: DepthMap, photo: Decoded, wanted: Format, options: Options, *
         return File(path.read_bytes(), written.notes)
 
 
-def remove_drafts() -> None:
-    """Remove the files that this process has begun to write, before it ends at once: they are of somebody's photo."""
-    for folder in Path(memory_folder() or tempfile.gettempdir()).glob(f"{_draft_prefix()}*"):
+def remove_drafts(pid: int | None = None) -> None:
+    """Remove the files that a process has begun to write, where it ends or has ended at once.
+
+    They are of somebody's photo.
+
+    Args:
+        pid: number of the process, which has ended; None: this process.
+    """
+    for folder in Path(memory_folder() or tempfile.gettempdir()).glob(f"{_draft_prefix(pid)}*"):
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _draft_prefix() -> str:
-    return f"zoedepth-{os.getpid()}-"
+def _draft_prefix(pid: int | None = None) -> str:
+    return f"zoedepth-{os.getpid() if pid is None else pid}-"
 
 
 def dump(values: object) -> bytes:

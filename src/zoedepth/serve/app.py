@@ -16,9 +16,8 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from zoedepth import __version__
-from zoedepth.calibration import calibrate as fit
 from zoedepth.depth_map import DepthMap
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.serve import metrics as prometheus
 from zoedepth.serve.answers import FORMATS, NOTES, File, about, choose_format, dump, encode
 from zoedepth.serve.body import PHOTO, read_parts
@@ -54,7 +53,17 @@ class Service:
         self._guard, self._engine = guard, engine
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer a request."""
+        """Answer a request; at the beginning of the lifespan load the models.
+
+        What is wrong with a model is told to the server in a sentence: a traceback tells nobody what to do.
+        """
+        if scope["type"] == "lifespan":
+            try:
+                await asyncio.get_running_loop().run_in_executor(None, self.load)
+            except ZoeDepthError as error:
+                await receive()
+                await send({"type": "lifespan.startup.failed", "message": str(error)})
+                return
         await self._guard(scope, receive, send)
 
     def load(self) -> None:
@@ -87,7 +96,6 @@ def create_app(settings: Settings | None = None) -> Service:
 
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[dict[str, object]]:
-        await asyncio.get_running_loop().run_in_executor(None, engine.start)
         with hear_warnings():
             yield {CLOSE: guard.close, IDLE: settings.limits.idle}
         engine.stop()
@@ -213,21 +221,9 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
         distances = [*parse_list("distances", parts.get("distances"))]
 
         def finish(result: DepthMap, photo: Decoded) -> bytes:
-            if distances and result.camera.source == "assumed":
-                raise InputError(
-                    "distances need the camera of the photo, which is not known: say the field of view (fov_x, "
-                    "fov_diagonal), or measure depth (readings)"
-                )
-            found = fit(
-                result.depth,
-                [*readings, *distances],
-                camera=result.camera,
-                valid=result.valid,
-                along_ray=query.along_ray == "true",
-                form=query.form,
-            )
-            corrected = result.focal_correction != 1
-            found = replace(found, network=model.told, domain=result.domain, focal_corrected=corrected)
+            along_ray = query.along_ray == "true"
+            found = result.find_calibration([*readings, *distances], along_ray=along_ray, form=query.form)
+            found = replace(found, network=model.told)
             return dump({"zoedepth": "calibration", "calibration": found.to_json()})
 
         return _answer(*await compute(request, query, parts, finish))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from zoedepth.config import ModelConfig
 from zoedepth.depth_map import DepthMap
-from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError, no_such
+from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError, is_no_memory, no_such
 from zoedepth.geometry.choice import CameraChoice
 from zoedepth.predict import Predictor
 from zoedepth.serve.gate import Gate
@@ -69,7 +69,7 @@ class Model:
     def __init__(self, source: str, settings: Settings, *, streams: int) -> None:
         self.source = source
         path = Path(source)
-        self.name = source if source in RELEASES else (path.name if path.is_dir() else path.stem) or source
+        self.name = source if source in RELEASES else (path.stem if path.is_file() else path.name) or source
         self.told = path.name if path.is_file() else self.name
         """The name in calibrations: a file's with its ending, without the folder, which is no business of a client."""
         network = load_for_prediction(source, device=settings.device, precision=settings.precision, streams=streams)
@@ -402,12 +402,12 @@ def told() -> Iterator[None]:
 
 def as_problem(error: Exception) -> Problem | None:
     """Return how a client is told of an error; None for those that are none of its business."""
+    if is_no_memory(error):  # first: its words may name files of the service
+        return Problem("no-room", "There is too little memory for this photo now. Send it resized, or try again later.")
     if isinstance(error, MissingExtraError):
         return Problem("not-acceptable", f"{sentence(error)}, on the machine of the service.")
     if isinstance(error, ZoeDepthError):
         return Problem("invalid-request", sentence(error))
-    if isinstance(error, MemoryError) or "out of memory" in str(error) or "can't allocate memory" in str(error):
-        return Problem("no-room", "There is too little memory for this photo now. Send it resized, or try again later.")
     if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS):
         return Problem("no-room", "There is no room for the answer now. Try again later.")
     return None

@@ -8,13 +8,12 @@ from io import BytesIO
 from typing import Literal, NamedTuple
 
 from zoedepth.claims import AVIF_BRANDS, HEIC_BRANDS, HEIC_IS_READ, check_claims, media_brands
-from zoedepth.errors import InputError, InputWarning
-from zoedepth.geometry.camera import Camera, Intrinsics
+from zoedepth.errors import InputError, InputWarning, is_no_memory
+from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.choice import CameraChoice, known_without_notes
 from zoedepth.geometry.exif import read_exif_camera
-from zoedepth.geometry.lens import off_middle
 from zoedepth.images import ImageArray, read_image, read_image_with_notes
-from zoedepth.pictures import is_panorama, n_full_pages, open_picture
+from zoedepth.pictures import is_whole_sphere, n_full_pages, open_picture
 from zoedepth.serve.problems import Problem, sentence
 
 MEDIA_TYPES = {
@@ -82,10 +81,12 @@ def check_photo(content: bytes, *, max_pixels: int) -> Header:
         check_claims(file)
         with open_picture(file, (kind,)) as picture:
             width, height = picture.size
-            sphere = is_panorama(picture) and abs(max(width, height) - 2 * min(width, height)) <= 2
+            sphere = is_whole_sphere(picture) and abs(max(width, height) - 2 * min(width, height)) <= 2
             animated = kind != "JPEG" and getattr(picture, "is_animated", False)
             n_frames = n_full_pages(picture) if kind == "TIFF" else 2 if animated else 1
     except Exception as error:  # readers raise nearly anything on a damaged header
+        if is_no_memory(error):
+            raise
         raise Problem(
             "unreadable-photo", f"The photo cannot be read, it may be cut short or damaged: {error}"
         ) from error
@@ -151,14 +152,8 @@ def hear_warnings() -> Iterator[None]:
 
 
 def _camera(choice: CameraChoice, size: tuple[int, int]) -> Camera | Literal["none"]:
-    """Return the camera of a photo of ``size`` (height, width); refuse intrinsics most likely made for another size."""
-    camera = known_without_notes(choice, size)
-    if camera is not None and isinstance(choice, Intrinsics) and (off := off_middle(camera)):
-        raise InputError(
-            f"intrinsics: {off}. Are they of photos of another size, or was this one cropped? Scale them to the size "
-            "of this photo, or give focal_px or a field of view instead"
-        )
-    return camera or "none"
+    """Return the camera of a photo of ``size`` (height, width)."""
+    return known_without_notes(choice, size) or "none"
 
 
 def _format(start: bytes) -> str | None:

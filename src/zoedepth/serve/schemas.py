@@ -145,7 +145,8 @@ class CalibrationQuery(PredictionQuery):
     )
     along_ray: _Flag = Field(
         "false",
-        description="Readings are from the lens to the thing, as a tape measure gives them, not along the axis.",
+        description="Readings are from the lens to the thing, as a tape measure gives them, not along the axis. The "
+        "camera must be known for it, from the photo or the query.",
     )
 
 

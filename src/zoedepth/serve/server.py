@@ -20,8 +20,9 @@ from uvicorn.supervisors import Multiprocess
 
 from zoedepth.config import from_dict
 from zoedepth.errors import InputError
-from zoedepth.serve.answers import memory_folder
+from zoedepth.serve.answers import memory_folder, remove_drafts
 from zoedepth.serve.app import Service, create_app
+from zoedepth.serve.guard import Application, Receive, Scope, Send
 from zoedepth.serve.metrics import FOLDER_VARIABLE
 from zoedepth.serve.settings import Settings
 from zoedepth.threads import cpu_count, set_thread_count
@@ -96,6 +97,8 @@ def run_several(settings: Settings, listener: socket.socket, *, workers: int, ac
         config = make_config(_APPLICATION, settings, workers=workers, access_log=access_log)
         processes = _Processes(config, [listener])
         processes.run()
+    for process in processes.processes:  # a signal may have ended it while a thread wrote
+        remove_drafts(process.pid)
     if any(process.exitcode == STARTUP_FAILURE for process in processes.processes):
         raise InputError("a process could not start: what it says is above")
     for number, handler in before.items():
@@ -116,6 +119,7 @@ class _Processes(Multiprocess):
         now = frozenset(process.pid for process in self.processes)
         for pid in self._counted - now:  # what it computed and who waited for it went with it
             mark_process_dead(pid)
+            remove_drafts(pid)
         self._counted = now
 
     def handle_int(self) -> None:
@@ -174,12 +178,24 @@ def make_config(app: Any, settings: Settings, *, workers: int = 1, access_log: b
     )
 
 
-def application() -> Service:
-    """Make the application in one process of several, as ``run_several`` tells it by the environment."""
+def application() -> Application:
+    """Make the application in one process of several, as ``run_several`` tells it by the environment.
+
+    A signal ends the process right after the lifespan, whatever its threads still write: drafts are removed before.
+    """
     told = json.loads(os.environ[_TOLD])
     settings = from_dict(Settings, told["settings"], where=_TOLD)
     set_thread_count(max(1, cpu_count() // (told["workers"] * (settings.threads or 1))))
-    return create_app(settings)
+    service = create_app(settings)
+
+    async def process(scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            await service(scope, receive, send)
+        finally:
+            if scope["type"] == "lifespan":
+                remove_drafts()
+
+    return process
 
 
 @contextmanager

@@ -18,6 +18,8 @@ from zoedepth.images import atomic_path
 from zoedepth.provenance import MAX_TEXT, Provenance, from_card, from_texts
 from zoedepth.stored import parse_json, read_json
 from zoedepth.weights.card import model_card
+from zoedepth.weights.exported import is_exported
+from zoedepth.weights.hub import CARD, CONFIG, PREPROCESSOR, WEIGHTS
 from zoedepth.weights.layouts import (
     adabins,
     bts,
@@ -35,8 +37,6 @@ from zoedepth.weights.releases import RELEASES
 
 Layout = Literal["zoedepth", "original", "huggingface"]
 LAYOUTS: tuple[Layout, ...] = get_args(Layout)
-
-WEIGHTS, CONFIG, PREPROCESSOR, CARD = "model.safetensors", "config.json", "preprocessor_config.json", "README.md"
 
 
 class Checkpoint(NamedTuple):
@@ -63,7 +63,7 @@ def read_checkpoint(path: str | Path) -> Checkpoint:
         InputError: there is no such file, it cannot be read, its layout is unknown, or its config is missing.
     """
     path = Path(path)
-    if path.suffix.lower() in (".onnx", ".xml"):
+    if is_exported(path):
         raise InputError(f"{path} is an exported model, whose weights are in no layout: give what it was exported from")
     folder, file = (path, _weights_in(path)) if path.is_dir() else (path.parent, path)
     if not file.is_file():

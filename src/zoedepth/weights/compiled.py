@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from zoedepth.images import atomic_path
-from zoedepth.weights.fingerprint import fingerprint
+from zoedepth.weights.fingerprint import files_state, fingerprint
 from zoedepth.weights.openvino_processor import UNMERGED
 
 MOST = 3
@@ -22,16 +22,27 @@ MOST = 3
 
 _SUFFIX = ".compiled"
 _HEAD = 4096
-"""Bytes before the graph: what it was compiled with, as JSON, and spaces. Whole pages, because the rest is mapped."""
+"""Bytes before the graph: what it was compiled of and with, as JSON, and spaces. Whole pages: the rest is mapped."""
 _log = logging.getLogger(__name__)
 
 
 class CompiledGraphs:
-    """A folder of compiled graphs of one exported file, on one machine, of one version of OpenVINO."""
+    """A folder of compiled graphs of one exported file, on one machine, of one version of OpenVINO.
 
-    def __init__(self, folder: Path, core: Any) -> None:
+    Args:
+        folder: the folder, which need not be there.
+        core: OpenVINO's core, which reads them.
+        file: the exported file (.xml), as it is before it is read; its weights are beside it.
+    """
+
+    def __init__(self, folder: Path, core: Any, file: Path) -> None:
+        import openvino
+
         self.folder = folder
         self.core = core
+        parts = (file.absolute(), file.absolute().with_suffix(".bin"))
+        self.origin = fingerprint([files_state(parts), openvino.__version__])
+        """What all graphs are compiled of: the files, by size and times, and the version of OpenVINO."""
         self.mapped: list[Any] = []
         """The memory of the graphs that were read, which they use for as long as they live."""
 
@@ -49,6 +60,8 @@ class CompiledGraphs:
                 kept = json.loads(file.read(_HEAD))
             if kept["bytes"] != path.stat().st_size - _HEAD:
                 raise ValueError("it is not whole")
+            if kept.get("origin") != self.origin:
+                raise ValueError("it is of another file, of one that has changed, or of another version of OpenVINO")
             # Copied on write: OpenVINO takes no memory that cannot be written to, and writes nothing.
             content = np.memmap(path, np.uint8, mode="c", offset=_HEAD)
             import openvino
@@ -80,7 +93,8 @@ class CompiledGraphs:
             with atomic_path(path) as part, part.open("wb") as file:
                 content = compiled.export_model()
                 content = content.getbuffer() if hasattr(content, "getbuffer") else content
-                file.write(json.dumps({"bytes": len(content), "properties": merging}).encode().ljust(_HEAD))
+                head = {"bytes": len(content), "origin": self.origin, "properties": merging}
+                file.write(json.dumps(head).encode().ljust(_HEAD))
                 file.write(content)
             kept = sorted(self.folder.glob(f"*{_SUFFIX}"), key=lambda each: each.stat().st_mtime)
             for old in kept[:-MOST]:

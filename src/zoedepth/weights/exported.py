@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from zoedepth.config import AnyModelConfig, model_config_from_dict
-from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError
+from zoedepth.errors import InputError, MissingExtraError, ZoeDepthError, is_no_memory
 from zoedepth.provenance import Provenance, from_texts
 from zoedepth.stored import parse_json
 from zoedepth.threads import thread_count, wait_asleep
@@ -145,14 +145,14 @@ _SPINNING = "session.intra_op.allow_spinning"
 
 
 class OnnxModel(ExportedModel):
-    """ONNX file in ONNX Runtime: on CUDA where its GPU package is installed (not run), else on the CPU.
+    """ONNX file in ONNX Runtime: on CUDA where that is wanted and its GPU package is installed (not run), or the CPU.
 
     The graphs of the package always run on the CPU.
     """
 
     runtime = "ONNX Runtime"
 
-    def __init__(self, path: Path, *, threads: int) -> None:
+    def __init__(self, path: Path, *, threads: int, device: str = "auto") -> None:
         checked = path.parent != ASSETS and path.stat().st_size <= _SMALL
         # It would make a number for this machine, and send it to its makers with the path of the program. It looks at
         # this when it is imported.
@@ -162,14 +162,14 @@ class OnnxModel(ExportedModel):
         except ModuleNotFoundError as error:
             raise MissingExtraError("onnx", "running an ONNX file") from error
         onnxruntime.disable_telemetry_events()  # Windows' own
-        self.threads = threads
+        self.options: dict[str, Any] = {"threads": threads, "device": device}
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3  # errors only: it warns of the default of the second input
         if wait_asleep():
             options.add_session_config_entry(_SPINNING, "0")
         wanted = ["CPUExecutionProvider"]
-        if path.parent != ASSETS:  # those graphs run where the CPU was asked for
+        if device != "cpu" and path.parent != ASSETS:  # those graphs run where the CPU was asked for
             wanted.insert(0, "CUDAExecutionProvider")
         providers = [name for name in wanted if name in onnxruntime.get_available_providers()]
         try:
@@ -186,7 +186,7 @@ class OnnxModel(ExportedModel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Load the file again where the model is copied or unpickled: a session cannot be sent to a process."""
-        return partial(load_exported, threads=self.threads), (self.path.absolute(),)
+        return partial(load_exported, **self.options), (self.path.absolute(),)
 
     def run(self, inputs: Mapping[str, np.ndarray], *, std: bool) -> Mapping[str, np.ndarray]:
         """Compute outputs by name from inputs by name; see ``ExportedModel``."""
@@ -194,7 +194,9 @@ class OnnxModel(ExportedModel):
         try:
             found: Any = self.session.run(names, dict(inputs))
         except Exception as error:  # its errors share no class
-            raise InputError(f"{self.path} cannot be run: {str(error)[:300]}. Export the model again") from error
+            if is_no_memory(error):
+                raise
+            raise InputError(f"{self.path.name} cannot be run: {str(error)[:300]}. Export the model again") from error
         return dict(zip(names, found, strict=True))
 
 
@@ -215,7 +217,7 @@ class OpenVinoModel(ExportedModel):
             raise MissingExtraError("openvino", "running an OpenVINO file") from error
         self.options: dict[str, Any] = {"precision": precision, "threads": threads, "streams": streams, "keep": keep}
         self.core = openvino.Core()
-        self.kept = None if keep is None else CompiledGraphs(keep, self.core)
+        self.kept = None if keep is None else CompiledGraphs(keep, self.core, path)
         self.properties = {
             "INFERENCE_PRECISION_HINT": {"float32": "f32", "bfloat16": "bf16"}[precision],
             "INFERENCE_NUM_THREADS": threads * streams,
@@ -258,7 +260,9 @@ class OpenVinoModel(ExportedModel):
         try:
             results: Any = compiled.create_infer_request().infer(dict(inputs))
         except Exception as error:  # a RuntimeError of C++, mostly
-            raise InputError(f"{self.path} cannot be run: {str(error)[:300]}. Export the model again") from error
+            if is_no_memory(error):
+                raise
+            raise InputError(f"{self.path.name} cannot be run: {str(error)[:300]}. Export the model again") from error
         return {output.get_any_name(): np.array(results[output]) for output in compiled.outputs}
 
     def _compiled_for(self, shape: tuple[int, ...], *, std: bool) -> Any:
@@ -286,8 +290,10 @@ class OpenVinoModel(ExportedModel):
                 self.properties |= UNMERGED
                 return self.core.compile_model(graph, "CPU", self.properties)
         except Exception as error:  # a RuntimeError of C++, mostly
+            if is_no_memory(error):
+                raise
             raise InputError(
-                f"OpenVINO cannot compile {self.path}: {str(error)[:300]}. Export the model again"
+                f"OpenVINO cannot compile {self.path.name}: {str(error)[:300]}. Export the model again"
             ) from error
 
 
@@ -322,12 +328,18 @@ def _refuse_onnx_bomb(path: Path) -> None:
 
 
 def _refuse_openvino_bomb(graph: Any, path: Path) -> None:
-    """Refuse a graph whose constants ask for tensors far larger than its weights."""
+    """Refuse a graph whose constants ask for tensors far larger than its weights, or that has loops."""
     shapes = []
     for node in graph.get_ops():
+        if node.get_type_name() in _SUBGRAPHS:
+            raise InputError(f"{path} has a loop or a branch, which no export of zoedepth has: it was not run")
         if node.get_type_name() != "Constant":  # whose size OpenVINO compares with the .bin file
             shapes += [port.get_partial_shape() for port in node.outputs()]
     _refuse_bomb([[dim.get_min_length() for dim in shape] for shape in shapes if shape.rank.is_static], path)
+
+
+_SUBGRAPHS = ("Loop", "TensorIterator", "If")
+"""OpenVINO's operations that hold a graph of their own."""
 
 
 def _refuse_bomb(shapes: list[list[int]], path: Path) -> None:
@@ -357,6 +369,7 @@ def load_exported(
     threads: int | None = None,
     streams: int = 1,
     keep: Path | None = None,
+    device: str = "auto",
 ) -> ExportedModel:
     """Load a file that ``zoedepth export`` wrote. ``load_model`` does it too; only here threads can be chosen.
 
@@ -371,7 +384,10 @@ def load_exported(
         threads: processor threads of each forward; None: as many as torch uses or, where it is not imported, would.
         streams: number of forwards that will run at the same time (OpenVINO).
         keep: folder in which OpenVINO's compiled graph is kept for the next start, as large as the weights for each of
-            up to three shapes of pixels. It belongs to this file, this version of OpenVINO and this machine alone.
+            up to three shapes of pixels. It belongs to this file, this version of OpenVINO and this machine alone;
+            a graph of another file or version is compiled again.
+        device: where an ONNX file runs: "cpu", else on CUDA where ONNX Runtime's package for GPUs is installed, as with
+            "auto". OpenVINO files run on the CPU.
 
     Raises:
         InputError: there is no such file, it is of another kind, or ``zoedepth export`` did not make it.
@@ -382,7 +398,7 @@ def load_exported(
         raise InputError(f"there is no file {path}")
     threads = threads or thread_count()
     if path.suffix.lower() == ".onnx":
-        return OnnxModel(path, threads=threads)
+        return OnnxModel(path, threads=threads, device=device)
     if path.suffix.lower() == ".xml":
         return OpenVinoModel(path, precision=precision, threads=threads, streams=streams, keep=keep)
     raise InputError(f"{path} is not an exported model that can run here: give a .onnx or .xml file")

@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from zoedepth.build import build_model, channels_last, without_memory
-from zoedepth.config import INDOOR, AnyModelConfig, ModelConfig
+from zoedepth.config import INDOOR, AdaBinsConfig, AnyModelConfig, ModelConfig, NewCrfsConfig
 from zoedepth.errors import InputError, InputWarning
 from zoedepth.model.interface import DepthModel
-from zoedepth.presets import with_compat
+from zoedepth.model.linear import products_are_slow
+from zoedepth.presets import PRESETS, with_compat
 from zoedepth.weights.checkpoint import Checkpoint
 from zoedepth.weights.layouts.keys import shown
 
@@ -29,7 +30,8 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
         compat: see ``load_model``.
 
     Warns:
-        InputWarning: it is a baseline's checkpoint, which does not name its range.
+        InputWarning: it is a baseline's checkpoint, which does not name its range, or one of the original's layout that
+            is no released model, which does not name its data.
 
     Raises:
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
@@ -37,6 +39,13 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     config, weights, _, name_in_file, provenance = checkpoint
     _refuse_strange(config, len(weights), source)
     compat = tuple(compat)
+    if "80m" not in compat and checkpoint.layout == "original" and _is_taken_for_nyus(config):
+        warnings.warn(
+            f"{source} does not say which data it was trained on, and NYU is taken, with its 10 m and its camera. If "
+            "it was trained on KITTI, give compat=['80m'] (--compat 80m). zoedepth convert writes either into a file",
+            InputWarning,
+            stacklevel=2,
+        )
     if checkpoint.layout in _WITHOUT_RANGE and "80m" not in compat and config.domains == (INDOOR,):
         warnings.warn(
             f"{source} does not say how far its depth reaches, and 10 m is taken, as for NYU. If it was trained on "
@@ -46,6 +55,7 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
             stacklevel=2,
         )
     config = with_compat(config, compat)
+    products_are_slow()  # a wrong setting of it is said here, or the config would be blamed for it below
     try:
         with without_memory():
             model = build_model(config)
@@ -72,6 +82,12 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     return channels_last(_with_buffers(model)).eval()
 
 
+def _is_taken_for_nyus(config: AnyModelConfig) -> bool:
+    """Return True for one head of NYU's whose shapes are not those of the released ZoeD-N: nothing says it is NYU's."""
+    known = PRESETS["zoed-m12-n"]
+    return isinstance(config, ModelConfig) and config.domains == known.domains and config != known
+
+
 def _refuse_strange(config: AnyModelConfig, n_weights: int, source: str | Path) -> None:
     """Refuse configs that would make timm download something, or build for minutes."""
     if ":" in config.encoder_name:  # timm fetches names with a colon from anywhere
@@ -79,7 +95,12 @@ def _refuse_strange(config: AnyModelConfig, n_weights: int, source: str | Path) 
     if isinstance(config, ModelConfig):
         encoder = config.encoder
         # A config may ask for any number of blocks, and every block has weights of its own.
-        if sum(encoder.depth or ()) + len(config.domains) > n_weights:
+        n_blocks = sum(encoder.depth or ()) + len(config.domains)
+        if isinstance(config.head, NewCrfsConfig):
+            n_blocks += config.head.n_blocks
+        if isinstance(config.head, AdaBinsConfig):
+            n_blocks += config.head.n_layers
+        if n_blocks > n_weights:
             raise InputError(f"the config in {source} makes no model of {n_weights} weights")
         if min(encoder.taps, default=0) < 0:
             raise InputError(f"the config in {source} makes no model: taps {encoder.taps}")

@@ -9,7 +9,8 @@ import os
 from pathlib import Path
 
 from zoedepth.download import cache_home
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, first_line
+from zoedepth.stored import read_json
 
 CONFIG = "config.json"
 WEIGHTS = "model.safetensors"
@@ -54,7 +55,8 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     """Return a local folder with ``config.json`` and ``model.safetensors`` of a model on the Hub.
 
     If the model has a ``preprocessor_config.json`` or a ``README.md``, these are there too. Files in the cache are not
-    downloaded again, and are used as they are when the network cannot be reached or ``HF_HUB_OFFLINE`` is set.
+    downloaded again, and are used as they are when the network cannot be reached or ``HF_HUB_OFFLINE`` is set. A model
+    of transformers must have its ``preprocessor_config.json`` there then: without it, the size of photos is not known.
 
     Args:
         repo_id: "organisation/model".
@@ -69,7 +71,7 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
     """
     _require_hub_id(repo_id)
     from huggingface_hub import hf_hub_download, try_to_load_from_cache
-    from huggingface_hub.errors import EntryNotFoundError
+    from huggingface_hub.errors import EntryNotFoundError, LocalEntryNotFoundError
 
     folder, wanted = Path(), revision
     for name in (CONFIG, WEIGHTS, PREPROCESSOR, CARD):
@@ -79,13 +81,20 @@ def fetch(repo_id: str, *, revision: str | None = None) -> Path:
         try:
             folder = Path(hf_hub_download(repo_id, name, revision=wanted)).parent
         except EntryNotFoundError as error:
-            if not optional:
+            # A local one is no word of the Hub's: the network failed, and the model may have the file.
+            unknown = isinstance(error, LocalEntryNotFoundError) and name == PREPROCESSOR and _has_processor(folder)
+            if unknown or not optional:
                 raise _fetch_error(error, repo_id, name, revision) from error
         except Exception as error:  # from the Hub, the HTTP client, the operating system or a faster client
             raise _fetch_error(error, repo_id, name, revision) from error
         # The folder is named after the commit. All files come from it, even if somebody pushes in the meantime.
         wanted = folder.name
     return folder
+
+
+def _has_processor(folder: Path) -> bool:
+    """Return True if a folder's config is one of transformers, whose size of photos is in another file."""
+    return read_json(folder / CONFIG).get("model_type") == "zoedepth"
 
 
 def cached(repo_id: str) -> bool:
@@ -175,9 +184,9 @@ def _fetch_error(error: Exception, repo_id: str, name: str, revision: str | None
         )
         return InputError(f"{repo_id} has no {name}: {hint} (its files: {page}/tree/{revision or 'main'})")
     if _status(error) in (401, 403):
-        return InputError(f"the Hub does not let you read {repo_id}: {_LOG_IN} ({_first_line(error)})")
+        return InputError(f"the Hub does not let you read {repo_id}: {_LOG_IN} ({first_line(error)})")
     return InputError(
-        f"cannot get {name} of {repo_id} from {constants.ENDPOINT}, and it is not in the cache: {_first_line(error)}. "
+        f"cannot get {name} of {repo_id} from {constants.ENDPOINT}, and it is not in the cache: {first_line(error)}. "
         "Check the connection and the disk, and type the command again; or give a folder or file of weights"
     )
 
@@ -187,12 +196,8 @@ def _push_reason(error: Exception) -> str:
         return f"you are not logged in; {_LOG_IN}"
     if _status(error) in (403, 404):
         return f"your token may not write there; check the name, and {_LOG_IN} with write access"
-    return f"{_first_line(error)}. Check the connection, and type the command again"
+    return f"{first_line(error)}. Check the connection, and type the command again"
 
 
 def _status(error: Exception) -> int | None:
     return getattr(getattr(error, "response", None), "status_code", None)
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -58,12 +58,16 @@ def load_model(
         MissingExtraError: the runtime of an exported file is not installed.
     """
     if is_exported(name_or_path):
-        if tuple(compat):
-            raise InputError(
-                f"{name_or_path} is an exported model with its behaviours built in: give --compat to zoedepth export"
-            )
+        _refuse_compat(name_or_path, compat)
         return load_exported(name_or_path, precision=precision, streams=streams)
     return load_network(name_or_path, compat=compat, progress=progress)
+
+
+def _refuse_compat(exported: str | Path, compat: Iterable[str]) -> None:
+    if tuple(compat):
+        raise InputError(
+            f"{exported} is an exported model with its behaviours built in: give --compat to zoedepth export"
+        )
 
 
 def load_for_prediction(
@@ -84,7 +88,7 @@ def load_for_prediction(
     Args:
         name_or_path: see ``load_model``.
         device: where the model is to run, see ``Predictor``: "auto" is the CPU where no driver of an accelerator is
-            found, see ``has_accelerator``.
+            found, see ``has_accelerator``. An exported file is told it, too, see ``load_exported``.
         compat: see ``load_model``.
         precision: see ``load_model``.
         streams: see ``load_model``.
@@ -97,6 +101,9 @@ def load_for_prediction(
     release = RELEASES.get(name_or_path) if isinstance(name_or_path, str) else None
     compat = tuple(compat)
     on_cpu = device == "cpu" or (device == "auto" and not has_accelerator())
+    if is_exported(name_or_path):
+        _refuse_compat(name_or_path, compat)
+        return load_exported(name_or_path, precision=precision, streams=streams, device=device)
     if release and release.graph and on_cpu and precision == "float32" and not compat and find_spec("onnxruntime"):
         model = load_exported(ASSETS / release.graph)
         model.provenance = release.provenance

@@ -1,5 +1,6 @@
 """Ours against transformers' own ZoeDepth: small, random, of every kind; no released weights are needed."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -269,6 +270,31 @@ def test_our_fields_of_domains_come_along_and_a_canonical_camera_is_refused(tmp_
     canonical = checkpoint._replace(config=replace(own, canonical_camera=True))
     with pytest.raises(InputError, match="canonical camera True"):
         write_checkpoint(canonical, tmp_path / "canonical", to="huggingface")
+
+
+def test_folder_says_how_photos_are_resized_and_padded_and_cannot_say_how_a_batch_votes(tmp_path: Path):
+    twin(twin_config(heads=(NYU, KITTI))).save_pretrained(tmp_path / "theirs")
+    checkpoint = read_checkpoint(tmp_path / "theirs")
+    config = checkpoint.config
+    assert isinstance(config, ModelConfig)
+    own = checkpoint._replace(config=replace(config, resize="squeeze", pad=False))
+    write_checkpoint(own, tmp_path / "own", to="huggingface")
+    assert load_model(tmp_path / "own").config == own.config
+    voting = checkpoint._replace(config=replace(config, router=replace(config.router, vote="batch")))
+    with pytest.raises(InputError, match=r"a vote of the batch.*--compat batch-vote"):
+        write_checkpoint(voting, tmp_path / "voting", to="huggingface")
+
+
+@pytest.mark.parametrize("domain", [Domain("indoor", focal_px=415.58), Domain("outdoor", focal_px=760.0)])
+def test_single_head_of_normed_centers_says_its_focal_length(tmp_path: Path, domain: Domain):
+    """Or, with the sizes of the published ZoeD-K, it would be taken for that one, and reach 80 m."""
+    twin(twin_config(centers="normed")).save_pretrained(tmp_path / "theirs")
+    checkpoint = read_checkpoint(tmp_path / "theirs")
+    own = in_training_cameras(replace(checkpoint.config, domains=(domain,)))
+    write_checkpoint(checkpoint._replace(config=own), tmp_path / "own", to="huggingface")
+    said = json.loads((tmp_path / "own/config.json").read_text())["bin_configurations"][0]
+    assert said["focal_px"] == own.domains[0].focal_px
+    assert load_model(tmp_path / "own").config.domains == own.domains
 
 
 # --- the range of ZoeD-K ----------------------------------------------------------------------------------------------

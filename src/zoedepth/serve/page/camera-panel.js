@@ -3,6 +3,8 @@
 import {Camera, focalOfView} from "./depth.js";
 import {byId, element} from "./dom.js";
 
+const LEAST = 1,
+  MOST = 160; // degrees of the field of view that the service takes
 const DELAY = 250; // milliseconds that a moving slider must rest before the service is asked
 /** Who says the camera, in a few words. */
 export const SAYS = {exif: "from EXIF", assumed: "a guess", given: "as you say"};
@@ -76,11 +78,11 @@ export class CameraPanel extends EventTarget {
   typed(kind, value) {
     this.radios[kind].checked = true;
     if (!this.size) return;
-    if (kind === "fov" && value > 0 && value < 180) {
+    if (kind === "fov" && isPossible(kind, value)) {
       if (document.activeElement !== this.fov) this.fov.value = value.toFixed(1);
       if (document.activeElement !== this.slider) this.slider.value = value;
       this.focal.value = focalOfView(value, this.size[1]).toFixed(1);
-    } else if (kind === "focal" && value > 0) {
+    } else if (kind === "focal" && isPossible(kind, value)) {
       const degrees = Camera.fromFocal(value, this.size).fovX;
       this.fov.value = degrees.toFixed(1);
       this.slider.value = degrees;
@@ -92,9 +94,14 @@ export class CameraPanel extends EventTarget {
 
   changed() {
     const {kind, value} = this.choice;
-    if (kind !== "exif" && !(value > 0)) return;
+    if (kind !== "exif" && !isPossible(kind, value)) return;
     this.dispatchEvent(new Event("change"));
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.dispatchEvent(new Event("settled")), DELAY);
   }
+}
+
+/** Can a camera have this field of view in degrees, or this focal length in pixels? */
+function isPossible(kind, value) {
+  return kind === "fov" ? value >= LEAST && value <= MOST : value > 0;
 }

@@ -330,18 +330,18 @@ async function guarded(action) {
   try {
     await action();
   } catch (error) {
-    if (error.name !== "AbortError") showProblem(error, () => guarded(action));
+    if (error.name !== "AbortError") showProblem(error, action);
   }
 }
 
 /** Say what went wrong, and offer to do `action` where it may go better later. */
 function showProblem(error, action) {
-  again = action;
+  again = () => guarded(action);
   if (error.status === 401) {
     byId("token-form").hidden = false;
     byId("token").focus();
   }
-  byId("retry").hidden = ![0, 408, 429, 503].includes(error.status) || byId("work").hidden;
+  byId("retry").hidden = ![0, 408, 429, 503].includes(error.status) || (byId("work").hidden && action !== start);
   byId("problem-title").textContent =
     error instanceof Problem ? `${error.title}.` : "Something went wrong in this page.";
   byId("problem-detail").textContent = error instanceof Problem ? error.detail : error.message;

@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 from torch.nn import Parameter
 
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, first_line
 from zoedepth.weights.layouts.keys import unwrapped
 
 MAX_PICKLE_BYTES = 2_000_000
@@ -64,7 +64,7 @@ def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
             texts = file.metadata() or {}
             return {name: file.get_tensor(name) for name in file.keys()}, texts  # noqa: SIM118  # not a dict
     except (SafetensorError, OSError) as error:
-        raise InputError(f"{path} is not a readable safetensors file ({_first_line(error)})") from error
+        raise InputError(f"{path} is not a readable safetensors file ({first_line(error)})") from error
 
 
 class _Placeholder:
@@ -187,7 +187,7 @@ def _read_torch(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
         ) from error
     except Exception as error:  # a made-up pickle can fail in any way
         raise InputError(
-            f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {_first_line(error)})"
+            f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {first_line(error)})"
         ) from error
     return _tensors(saved, path, size), _texts(saved)
 
@@ -226,7 +226,7 @@ def _check_archive(path: Path, size: int) -> None:
             _Rehearsal(_Counted(content)).load()
     except Exception as error:  # a made-up pickle can fail in any way
         raise InputError(
-            f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {_first_line(error)}). "
+            f"{path} is damaged or no torch checkpoint ({type(error).__name__}: {first_line(error)}). "
             "Download or copy it again"
         ) from error
 
@@ -276,8 +276,3 @@ def _named(error: Exception) -> str:
     """Return the name that the pickle asked for. The rest of torch's message tells how to run it all the same."""
     found = re.search(r"GLOBAL ([\w.]{1,80})", str(error))
     return f" ({found[1]})" if found else ""
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).strip().splitlines()
-    return lines[0][:200] if lines else ""

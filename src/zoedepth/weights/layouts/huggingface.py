@@ -124,7 +124,7 @@ def read(
         weights: its weights, under its names.
         config: its config.json; None: the shapes tell the config, as for the original.
         layout: 4 or 5, see ``layout_of``.
-        preprocessor: its preprocessor_config.json, for the input size.
+        preprocessor: its preprocessor_config.json, for the input size and how photos are brought to it.
 
     Raises:
         InputError: weights are unknown or missing, or the config is not a ZoeDepth's.
@@ -139,7 +139,7 @@ def read(
     names = table(tuple(str(entry.get("name", "nyu")) for entry in bins), layout=layout)
     ours = names.to_ours(weights)
     with shapes.errors_named(names):
-        return settings.read(config, ours, heads=bins, size=settings.size_in(preprocessor)), ours, names
+        return settings.read(config, ours, heads=bins, preprocessor=preprocessor), ours, names
 
 
 # --- and back ---------------------------------------------------------------------------------------------------------

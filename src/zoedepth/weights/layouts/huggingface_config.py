@@ -33,9 +33,10 @@ def read(
     weights: Mapping[str, Tensor],
     *,
     heads: list[dict[str, Any]],
-    size: tuple[int, int] | None,
+    preprocessor: Mapping[str, Any] | None = None,
 ) -> ModelConfig:
     """Return our config. Whatever shapes tell is read from them; strict loading compares all of them later."""
+    size = size_in(preprocessor)
     backbone = config.get("backbone_config") or {}
     if not isinstance(backbone, dict):
         raise InputError("backbone_config in config.json must be an object")
@@ -59,7 +60,14 @@ def read(
         encoder=shapes.beit(weights, native=_native(backbone), taps=_taps(backbone)),
         attention_heads=attention_heads if isinstance(attention_heads, int) else 4,
     )
-    return _with_ours(_as_released(model, size=size), heads)
+    model = replace(
+        model,
+        resize="keep-aspect" if _switch(preprocessor, "keep_aspect_ratio", True) else "squeeze",
+        pad=_switch(preprocessor, "do_pad", True),
+    )
+    if len(heads) == 1 and "focal_px" not in heads[0]:  # only we write it, and of our own files all is believed
+        model = _as_released(model, size=size)
+    return _with_ours(in_training_cameras(model), heads)
 
 
 def _with_ours(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
@@ -76,22 +84,27 @@ def _with_ours(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
 
 
 def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
-    """Give the published ZoeD-K the range that it was trained at, and the input size if no file says another.
+    """Give the published ZoeD-K the domain and range that it was trained at, and its size if no file says another.
 
-    Its published config.json says 10 m, the default of the original's code, which makes every depth 8 times too small.
-    A model of exactly these sizes is the published one: transformers cannot train ZoeDepth.
+    Its published config.json says "nyu" and 10 m, the defaults of the original's code; with 10 m every depth is 8 times
+    too small. Other ranges are believed: somebody has corrected the file, and hardly the name, too. A model of exactly
+    these sizes is the published one: transformers cannot train ZoeDepth.
     """
     released = PRESETS["zoed-m12-k"]
-    if replace(model, domains=released.domains, size=released.size) != released:
+    alike = replace(model, domains=released.domains, size=released.size, resize=released.resize, pad=released.pad)
+    domain = model.domains[0]
+    if alike != released or domain.name not in original.DOMAINS:
         return model
-    if model.domains[0].max_depth == 10.0:
+    if domain.max_depth == 10.0:
         warnings.warn(
             "config.json says that this ZoeD-K reaches 10 m; it was trained to 80 m, and that is used: a depth d of "
             "transformers becomes (d - 0.001) * 79.999 / 9.999 + 0.001. For the range of 10 m give compat=['10m']",
             stacklevel=2,
         )
-        model = replace(model, domains=released.domains)
-    return in_training_cameras(replace(model, size=size or released.size))
+        domain = released.domains[0]
+    elif domain.name == INDOOR.name:
+        domain = replace(domain, name=released.domains[0].name)
+    return replace(model, domains=(domain,), size=size or released.size)
 
 
 def _refuse_other_structure(config: Mapping[str, Any], backbone: Mapping[str, Any]) -> None:
@@ -120,6 +133,13 @@ def _number(config: Mapping[str, Any], name: str, default: float) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"{name} in config.json must be a number, not {value!r}")
     return float(value)
+
+
+def _switch(preprocessor: Mapping[str, Any] | None, name: str, default: bool) -> bool:
+    value = (preprocessor or {}).get(name, default)
+    if not isinstance(value, bool):
+        raise InputError(f"{name} in preprocessor_config.json must be true or false, not {value!r}")
+    return value
 
 
 def _domain(entry: Mapping[str, Any]) -> Domain:
@@ -204,10 +224,10 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
                 "min_depth": domain.min_depth,
                 "max_depth": domain.max_depth,
                 # Not transformers': they are ours, where they are not those of the published models.
-                **({} if domain.focal_px in (None, published.focal_px) else {"focal_px": domain.focal_px}),
+                **({} if domain.focal_px in omitted else {"focal_px": domain.focal_px}),
                 **({} if domain.std_factor == 1 else {"std_factor": domain.std_factor}),
             }
-            for domain, published in zip(config.domains, in_training_cameras(config).domains, strict=True)
+            for domain, omitted in zip(config.domains, _omitted(config, head), strict=True)
         ],
         "torch_dtype": "float32",
     }
@@ -220,6 +240,15 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
             "patch_transformer_num_attention_heads": config.router.attention_heads,
         }
     return values
+
+
+def _omitted(config: ModelConfig, head: AttractorConfig) -> list[tuple[float | None, ...]]:
+    """Return for each domain the focal lengths that config.json need not have, because ``read`` takes them by itself.
+
+    A model that could be taken for the published ZoeD-K always says its focal length, so that its range is believed.
+    """
+    alone = len(config.domains) == 1 and head.centers == "normed"
+    return [(None,) if alone else (None, domain.focal_px) for domain in in_training_cameras(config).domains]
 
 
 def _head_json(head: AttractorConfig) -> dict[str, Any]:
@@ -239,7 +268,7 @@ def preprocessor_json(config: ModelConfig) -> dict[str, Any]:
     """Return preprocessor_config.json: the padding, resizing and normalisation of the original."""
     return {
         "image_processor_type": "ZoeDepthImageProcessor",
-        "do_pad": True,
+        "do_pad": config.pad,
         "do_rescale": True,
         "rescale_factor": 1 / 255,
         "do_resize": True,

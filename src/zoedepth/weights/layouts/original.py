@@ -97,6 +97,10 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
         InputError: the original's code has no such model.
     """
     problems = refusals(config)
+    if config.resize != "keep-aspect":
+        problems.append("a size that photos are squeezed to (give --compat squeeze where the file is loaded)")
+    if not config.pad:
+        problems.append("photos that are not padded (give pad=False to Predictor where it is loaded)")
     names = tuple(domain.name for domain in config.domains)
     router, kept = config.router, shapes.attractors(config)
     if len(names) == 2:
@@ -157,7 +161,12 @@ def refusals(config: ModelConfig) -> list[str]:
             "projector_width": (head.projector_width, 128),
             "seed_width": (head.seed_width, 256),
         }
-    return differences(values)
+    problems = differences(values)
+    if config.router.vote != "image":
+        problems.append(
+            "a vote of the batch, which no file of theirs says (give --compat batch-vote where it is loaded)"
+        )
+    return problems
 
 
 def differences(values: Mapping[str, tuple[object, object]]) -> list[str]:
