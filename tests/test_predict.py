@@ -378,7 +378,7 @@ def film_camera(film_focal: float, size: tuple[int, int]) -> Camera:
         ("given", False, None, True),
         ("given", False, False, False),
         ("none", True, None, False),
-        ("none", False, True, False),
+        ("none", False, False, False),
     ],
 )
 def test_depth_is_corrected_where_the_camera_is_given_or_the_model_has_one_camera(
@@ -554,7 +554,7 @@ def test_what_cannot_be_a_camera_is_refused(unchecked_types: None) -> None:
 
 def test_intrinsics_of_photos_of_another_size_are_refused() -> None:
     with pytest.raises(InputError, match=r"far from the middle of a photo of 96 x 64 pixels.*Scale them"):
-        Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(60, 60, 23.5, 15.5))
+        Predictor(Brightness())(smooth((64, 96)), camera=Intrinsics(30, 30, 11.5, 7.5))
 
 
 def test_a_correction_without_a_camera_is_refused() -> None:

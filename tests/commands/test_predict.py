@@ -667,7 +667,7 @@ class TestJobs:
     def test_more_photos_than_are_listed_first(
         self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        monkeypatch.setattr("zoedepth.commands.predict._FIRST", 2)
+        monkeypatch.setattr("zoedepth.jobs.inputs.N_FIRST", 2)
         (folder / "gone.png").symlink_to("nowhere.png")
         assert predict(folder, "--no-flip", "--no-preview", out=tmp_path / "out") == 1
         assert re.search(r"3( of 4)? photos written, 1 failed", capsys.readouterr().err)
@@ -676,7 +676,7 @@ class TestJobs:
         self, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         counted: list[object] = []
-        monkeypatch.setattr("zoedepth.commands.predict._FIRST", 2)
+        monkeypatch.setattr("zoedepth.jobs.inputs.N_FIRST", 2)
         monkeypatch.setattr("zoedepth.jobs.run.count_in_background", lambda tally, count: counted.append(count))
         for _ in range(2):
             assert predict(folder, "--no-flip", "--no-preview", "--json", out=tmp_path / "out") == 0
@@ -699,7 +699,7 @@ class TestJobs:
             "from rich.console import Console\n"
             "command._PATIENCE = 0.2\n"
             "found = SimpleNamespace(found=SimpleNamespace(n_ignored=0))\n"
-            "options = dict(json_=False, streamed=False)\n"
+            "options = dict(json_=False, streamed=False, overwrite=False)\n"
             "report = command._Report(found, None, Tally(done=7), Console(stderr=True), set(), **options)\n"
             "with command._terminated_as_interrupted(report._give_up):\n"
             "    try:\n"

@@ -585,7 +585,7 @@ def test_exported_model_predicts_as_many_photos_at_a_time_as_it_was_loaded_for(
     loaded = ModelSource.load("zoed-lite", device="cpu")
     assert loaded.workers == 3
     assert isinstance(loaded.model, OnnxModel)
-    assert loaded.model.threads == 1
+    assert loaded.model.options["threads"] == 1
 
 
 def test_fast_model_computes_in_what_was_chosen(tiny_model: ZoeDepth, monkeypatch: pytest.MonkeyPatch) -> None:

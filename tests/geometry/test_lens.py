@@ -47,8 +47,14 @@ def test_what_no_lens_has_is_refused_before_there_is_a_photo(known: dict[str, fl
 
 def test_what_is_known_comes_back_to_the_last_bit() -> None:
     assert camera_of(OFF_CENTRE, (480, 640)) is OFF_CENTRE
-    intrinsics = Intrinsics(1000 / 3, 100 * (0.1 + 0.2), 1e-7, 240.0)
+    intrinsics = Intrinsics(1000 / 3, 1000 * (0.1 + 0.2), 320 + 1e-7, 240.0)
     assert camera_of(intrinsics, (480, 640)).intrinsics == intrinsics
+
+
+@pytest.mark.parametrize("place", [(159.4, 239.5), (319.5, 119.4), (480.0, 239.5), (319.5, 360.0)])
+def test_intrinsics_that_look_past_the_middle_are_of_another_photo(place: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match=r"far from the middle of a photo of 640 x 480 pixels.*Scale them"):
+        camera_of(Intrinsics(500, 500, *place), (480, 640))
 
 
 @pytest.mark.parametrize("known", [Lens(focal_px=26), Lens(focal_px=0.81), Intrinsics(4e5, 4e5, 319.5, 239.5)])

@@ -221,7 +221,7 @@ class PublishedDataset(Dataset[Sample], ABC):
         Args:
             name: its file name.
             origin: where to get the list, for the error.
-            files: what a line names at least, for the error.
+            files: the files that a line names at least, for the error.
 
         Raises:
             InputError: the list is missing, empty or not text, or a line names too few files.

@@ -42,7 +42,7 @@ class CompiledGraphs:
         self.core = core
         parts = (file.absolute(), file.absolute().with_suffix(".bin"))
         self.origin = fingerprint([files_state(parts), openvino.__version__])
-        """What all graphs are compiled of: the files, by size and times, and the version of OpenVINO."""
+        """A hash of what all graphs are compiled of: the files, by size and times, and the version of OpenVINO."""
         self.mapped: list[Any] = []
         """The memory of the graphs that were read, which they use for as long as they live."""
 

@@ -217,9 +217,9 @@ def _check_archive(path: Path, size: int) -> None:
                     "model.state_dict() alone"
                 )
             contents = [archive.read(entry) for entry in pickles]
-    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError) as error:  # RuntimeError: an unknown kind of zip
-        if isinstance(error, InputError):
-            raise
+    except InputError:
+        raise
+    except Exception as error:  # a damaged archive can fail in many ways, from BadZipFile to EOFError
         raise InputError(f"{path} is damaged or not whole ({error}): download or copy it again") from error
     try:
         for content in contents:
