@@ -56,6 +56,7 @@ class TestCacheHome:
         (tmp_path / ".cache").mkdir()  # somebody has filled it before the disk became read-only
         assert cache_home() == tmp_path / ".cache"
 
+    # The test is of owners and modes as POSIX has them. On Windows the folder for temporary files is the user's own.
     @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has no owners and modes of this kind")
     def test_a_temporary_one_is_for_the_user_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(os.path, "expanduser", lambda path: path)
@@ -69,6 +70,7 @@ class TestCacheHome:
         folder.chmod(0o755)
         assert cache_home() == folder, "others may read it"
 
+    # The test is of owners and modes as POSIX has them. On Windows the folder for temporary files is the user's own.
     @pytest.mark.skipif(not hasattr(os, "getuid"), reason="Windows has no owners and modes of this kind")
     @pytest.mark.parametrize(
         ("made", "problem"),

@@ -123,7 +123,7 @@ def test_the_line_of_a_job_says_what_is_done_failed_and_left() -> None:
 def test_a_job_prints_lines_where_there_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zoedepth.commands.progress.EVERY", 0.001)
     tally, shown = Tally(done=3, total=4), io.StringIO()
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + PATIENCE  # minutes: a line comes after a millisecond, and a hang ends here
     with show_tally(tally, "depth", Console(file=shown)):
         while "\n" not in shown.getvalue():
             assert time.monotonic() < deadline

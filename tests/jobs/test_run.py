@@ -150,7 +150,7 @@ def test_killed_at_any_moment_it_gives_each_photo_once(tmp_path: Path) -> None:
         process = context.Process(target=run, args=(folder,), kwargs={"out": out})
         process.start()
         wanted = len(entries(out / MANIFEST)) + rng.randrange(3) if (out / MANIFEST).exists() else 1
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + PATIENCE  # minutes: it ends a job that hangs, and is met by no job that works
         while process.is_alive() and not ((out / MANIFEST).exists() and len(entries(out / MANIFEST)) >= wanted):
             assert time.monotonic() < deadline
             time.sleep(0.001)

@@ -7,16 +7,29 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import PICTURE_SUFFIXES, write_image
 from zoedepth.outputs import OUTPUTS, Maps, Options
-from zoedepth.outputs.ownership import has_own_mark, is_own_file
+from zoedepth.outputs.ownership import has_own_mark, is_own_file, require_own_mark
 from zoedepth.outputs.sidecar import write_sidecar
 
 RAMP = np.linspace(1, 5, 12, dtype=np.float32).reshape(3, 4)
 CAMERA = Camera.from_focal(4.0, (3, 4))
 MAPS = Maps(depth=RAMP, relative=1 / RAMP, image=np.full((3, 4, 3), 200, np.uint8), camera=CAMERA)
 SIDECAR = {"zoedepth": "0.1.0", "source": "a.jpg"}
+
+
+def test_files_and_links_of_others_are_not_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "a.jpg"
+    require_own_mark(path, advice="move it")
+    write_image(path, np.zeros((8, 8, 3), np.uint8))
+    require_own_mark(path, advice="move it")
+    path.write_text("mine")
+    (tmp_path / "link.jpg").symlink_to(tmp_path / "nowhere.jpg")
+    for theirs in (path, tmp_path / "link.jpg"):
+        with pytest.raises(InputError, match=rf"{theirs.name} is not from zoedepth, and would be replaced: move it"):
+            require_own_mark(theirs, advice="move it")
 
 
 @pytest.mark.parametrize("name", sorted(OUTPUTS.keys() - {"npy", "npz", "pfm"}))

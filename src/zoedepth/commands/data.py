@@ -114,7 +114,7 @@ def check(
     from zoedepth.commands.progress import track
     from zoedepth.datasets.published import PublishedDataset
     from zoedepth.images import PICTURE_SUFFIXES, write_image
-    from zoedepth.outputs.ownership import has_own_mark
+    from zoedepth.outputs.ownership import require_own_mark
     from zoedepth.stored import to_json
     from zoedepth.train.log import Ticker
 
@@ -122,8 +122,7 @@ def check(
         raise InputError(f"--sheet {sheet}: the name must end in one of {', '.join(PICTURE_SUFFIXES)}")
     if sheet is not None:
         check_writable(sheet.parent, option="--sheet")
-        if os.path.lexists(sheet) and not has_own_mark(sheet):
-            raise InputError(f"--sheet {sheet} is not from zoedepth, and would be replaced: give another name")
+        require_own_mark(sheet, advice="give another --sheet")
     if folder is not None:
         dataset = _open_published(what, folder, split)
     else:

@@ -1,6 +1,5 @@
 """``zoedepth demo``: predict real photographs, one of them with measured depth."""
 
-import os
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
@@ -11,13 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.colors import color_bar, colorize, depth_range, panel, sheet
-from zoedepth.errors import InputError, MissingExtraError
+from zoedepth.errors import MissingExtraError
 from zoedepth.folders import check_writable
 from zoedepth.geometry.camera import Camera
 from zoedepth.images import DepthArray, ImageArray, write_image
 from zoedepth.metrics import compute_metrics
 from zoedepth.outputs.html import write_page_of_maps
-from zoedepth.outputs.ownership import has_own_mark
+from zoedepth.outputs.ownership import require_own_mark
 
 if TYPE_CHECKING:
     from zoedepth.depth_map import DepthMap
@@ -83,8 +82,7 @@ def demo(*, out: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), 
 def _check_replaced(out: Path) -> None:
     """Refuse to replace files that this package has not written."""
     for file in (out / SHEET, out / PAGE, *(out / f"{name}{ending}" for name in NAMES for ending in ENDINGS)):
-        if os.path.lexists(file) and not has_own_mark(file):
-            raise InputError(f"{file} is not from zoedepth, and would be replaced: choose another folder with --out")
+        require_own_mark(file, advice="choose another folder with --out")
 
 
 def motorcycle_depth() -> DepthArray:

@@ -12,10 +12,9 @@ from rich.console import Console
 from rich.table import Table
 
 from zoedepth.commands.progress import track
-from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.images import atomic_path
-from zoedepth.outputs.ownership import has_own_mark
+from zoedepth.outputs.ownership import require_own_mark
 from zoedepth.recipes import demo
 
 
@@ -40,8 +39,7 @@ def demo_train(
     require_libraries()  # said before scenes are rendered
     check_writable(out, option="--out")
     picture = out / "predictions.jpg"
-    if picture.exists() and not has_own_mark(picture):
-        raise InputError(f"{picture} is not from zoedepth and would be replaced: move it, or give another --out")
+    require_own_mark(picture, advice="move it, or give another --out")
     console = Console(stderr=True, highlight=False)
     began = time.monotonic()
     console.print(f"Rendering {scenes} scenes")

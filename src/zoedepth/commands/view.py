@@ -8,7 +8,7 @@ from rich.console import Console
 
 from zoedepth.errors import InputError
 from zoedepth.outputs.html import write_page_of_file, write_page_of_maps
-from zoedepth.outputs.ownership import has_own_mark
+from zoedepth.outputs.ownership import require_own_mark
 
 _FILES = (".glb", ".ply", ".pcd")
 
@@ -61,8 +61,7 @@ def view(
     page = out or Path(f"{source.stem}.html")
     if page.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"--out {page} must be a page, with a name that ends in .html")
-    if page.exists() and not has_own_mark(page):
-        raise InputError(f"{page} is not from zoedepth and would be replaced: give another name (--out)")
+    require_own_mark(page, advice="give another name (--out)")
     if source.suffix.lower() in _FILES:
         if cloud or panorama:
             raise InputError(f"--cloud and --panorama are for photos, and {source} is shown as it is: leave them out")

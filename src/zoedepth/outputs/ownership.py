@@ -52,6 +52,20 @@ def has_own_mark(file: Path) -> bool:
     return any(mark in content for mark in _MARKS)
 
 
+def require_own_mark(file: Path, *, advice: str) -> None:
+    """Refuse to replace a file, or a link, that this package has not written.
+
+    Args:
+        file: the file, which need not be there.
+        advice: the end of the message, on what to do.
+
+    Raises:
+        InputError: it is there, and does not say that this package wrote it.
+    """
+    if os.path.lexists(file) and not has_own_mark(file):
+        raise InputError(f"{file} is not from zoedepth, and would be replaced: {advice}")
+
+
 def _is_listed(file: Path) -> bool:
     name = readable(file.name)
     for stem in _stems(file.name):
