@@ -78,6 +78,7 @@ def score(prediction: Prediction, sample: Sample, protocol: Protocol) -> Score:
     if not scored.any():
         return Score(sample.name, sample.domain, prediction.domain, None)
     truth = sample.target[0].numpy()
+    prediction = prediction._replace(depth=resize_depth(prediction.depth, truth.shape))  # once, for all that follows
     depth = aligned_depth(prediction, truth, scored, protocol)
     found, known = depth[scored], truth[scored]
     sums = pixel_sums(found, known)
@@ -90,14 +91,13 @@ def score(prediction: Prediction, sample: Sample, protocol: Protocol) -> Score:
         std = resize_depth(prediction.std, truth.shape)
         uncertainty = score_uncertainty(found, known, std[scored])
     edges = boundary_f1(depth, truth, scored)
-    n_holes = int((scored & ~_has_depth(prediction, truth.shape)).sum())
+    n_holes = int((scored & ~_has_depth(prediction.depth, relative=prediction.relative)).sum())
     return Score(sample.name, sample.domain, prediction.domain, sums, ranges, uncertainty, edges, n_holes)
 
 
-def _has_depth(prediction: Prediction, size: tuple[int, ...]) -> Bool[np.ndarray, "height width"]:
-    """Return False where a prediction has no depth: where it is not finite, or, in metres, not above 0."""
-    depth = resize_depth(prediction.depth, size)
-    return np.isfinite(depth) & (prediction.relative | (depth > 0))
+def _has_depth(depth: Float[np.ndarray, "height width"], *, relative: bool) -> Bool[np.ndarray, "height width"]:
+    """Return False where a map has no depth: where it is not finite, or, unless it is relative, not above 0."""
+    return np.isfinite(depth) if relative else np.isfinite(depth) & (depth > 0)
 
 
 def scored_pixels(sample: Sample, protocol: Protocol) -> Bool[np.ndarray, "height width"]:
@@ -124,13 +124,13 @@ def aligned_depth(
         raise InputError("relative depth has no metres: score it with --align disparity")
     # As released: NaN counts as the nearest depth, infinity as the farthest. Neither they nor holes, which are 0 in
     # maps of depth, decide on the alignment: one inverse depth of 1e6 would outweigh all others.
-    has_depth = scored & _has_depth(prediction, truth.shape)
+    known = scored & _has_depth(depth, relative=prediction.relative)
     if protocol.alignment == "disparity":
         inverse = depth if prediction.relative else 1 / np.maximum(depth, 1e-6)
         inverse = np.nan_to_num(inverse, nan=1 / low, posinf=1 / low, neginf=0.0)
         wanted = 1 / np.maximum(truth, 1e-6)
         # A disparity of 0 or less is infinitely far.
-        depth = 1 / np.maximum(align_least_squares(inverse, wanted, has_depth if has_depth.any() else scored), 1 / high)
+        depth = 1 / np.maximum(align_least_squares(inverse, wanted, known if known.any() else scored), 1 / high)
     if protocol.alignment == "median":  # before that, since its unit may be any
-        depth = align_median(depth, truth, has_depth) if has_depth.any() else depth
+        depth = align_median(depth, truth, known) if known.any() else depth
     return np.nan_to_num(depth, nan=low, posinf=high, neginf=low).clip(low, high)
