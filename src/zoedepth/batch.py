@@ -159,6 +159,8 @@ class Request:
     """True predicts relative depth instead of metres."""
     calibration: Calibration | None = None
     """The calibration by which metres are put right; photos that it does not hold for fail."""
+    weights: str | None = None
+    """Hash of the model's weights for the calibration, see ``weights.load.weights_of``; None does not compare them."""
     panorama: bool = False
     """True takes all photos for panoramas of 360 x 180 degrees. Those that say so in their XMP are found anyway."""
     tiles: Tiles | None = None
@@ -482,7 +484,7 @@ def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Pred
             result = predict_tiled(predictor, picture(), tiles=request.tiles, domain=request.domain)
             notes = (_NO_TILES,) if result.tiles is None else ()
         if request.calibration is not None:
-            result = result.calibrated(request.calibration, network=request.model)
+            result = result.calibrated(request.calibration, network=request.model, weights=request.weights)
         if predictor.corrects_known_cameras and result.camera.source == "assumed":
             notes = (*notes, _UNKNOWN_CAMERA)
         maps = result.maps

@@ -210,12 +210,15 @@ class DepthMap:
             )
         return replace(found, domain=self.domain, focal_corrected=self.focal_correction != 1)
 
-    def calibrated(self, calibration: Calibration, *, network: str | None = None) -> "DepthMap":
+    def calibrated(
+        self, calibration: Calibration, *, network: str | None = None, weights: str | None = None
+    ) -> "DepthMap":
         """Return this depth map with its metres put right by a calibration of the same camera.
 
         Args:
             calibration: from ``calibrate``, or from a file (``calibration.read_calibration``).
             network: name of the model that made this depth; None does not compare it.
+            weights: hash of its weights, see ``weights.load.weights_of``; None does not compare them.
 
         Raises:
             InputError: the calibration is of another camera, model or scene type, was made with another correction by
@@ -224,7 +227,11 @@ class DepthMap:
         if self.calibration is not None:
             raise InputError("this depth is calibrated already: calibrate the depth as the model gave it")
         reasons = calibration.mismatches(
-            camera=self.camera, network=network, domain=self.domain, focal_corrected=self.focal_correction != 1
+            camera=self.camera,
+            network=network,
+            domain=self.domain,
+            focal_corrected=self.focal_correction != 1,
+            weights=weights,
         )
         if reasons:
             raise InputError(f"the calibration does not hold for this photo: {'; '.join(reasons)}. Make one for it")

@@ -93,6 +93,26 @@ class TestMismatches:
             assert (found == ()) == same
 
     @pytest.mark.parametrize(
+        ("name", "weights", "reason"),
+        [
+            ("runs/kitchen", "1", None),
+            ("runs/kitchen", "2", "other weights of runs/kitchen"),
+            ("runs/kitchen", None, None),
+            ("copies/other", "1", None),
+            ("copies/other", "2", "with the model runs/kitchen, and this is copies/other"),
+            ("copies/other", None, "with the model runs/kitchen, and this is copies/other"),
+            (None, "2", "other weights of the model"),
+        ],
+    )
+    def test_a_model_is_known_by_its_weights_where_both_say_them(
+        self, name: str | None, weights: str | None, reason: str | None
+    ) -> None:
+        calibration = replace(example(), network="runs/kitchen", weights="1")
+        found = calibration.mismatches(camera=None, network=name, domain=None, focal_corrected=False, weights=weights)
+        assert len(found) == (reason is not None)
+        assert (reason or "") in "".join(found)
+
+    @pytest.mark.parametrize(
         "camera",
         [
             CAMERA,

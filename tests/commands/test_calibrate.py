@@ -1,11 +1,13 @@
 """The calibrate command: its options arrive, it says how it went, and predict applies what it kept."""
 
+import copy
 import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from tests.geometry.test_exif import FILM_LENGTH, photo_of
 
@@ -16,6 +18,7 @@ from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth
+from zoedepth.weights.save import save_model
 
 PLACES = [(80, 100), (320, 240), (560, 300), (200, 400), (450, 120)]
 
@@ -239,11 +242,29 @@ class TestSeveralPhotos:
         kept = tmp_path / "camera.json"
         assert calibrate(photo, *readings(depth, 1.5, 3), "--out", kept) == 0
         before = kept.read_bytes()
-        for changes in ({"network": "another"}, {"camera": depth.camera.rotated(1).cropped(0, 0, (300, 300))}):
+        for changes in ({"weights": "another"}, {"camera": depth.camera.rotated(1).cropped(0, 0, (300, 300))}):
             write_calibration(kept, replace(read_calibration(kept), **changes))
             assert calibrate(photo, *readings(depth, 1.5, 1), "--out", kept, "--add") == 2
             assert "cannot be taken together" in capsys.readouterr().err
             kept.write_bytes(before)
+
+
+def test_does_not_hold_for_a_model_that_was_trained_again(
+    photo: Path, depth: DepthMap, tiny_model: ZoeDepth, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model, kept = tmp_path / "mine.safetensors", tmp_path / "camera.json"
+    save_model(tiny_model, model)
+    of_model = ["--model", model, "--out"]
+    assert calibrate(photo, *readings(depth, 1.5), *of_model, kept) == 0
+    options = ["predict", photo, "--no-flip", "--domain", "indoor", "--calibration", kept, *of_model]
+    assert main([*map(str, options), str(tmp_path / "before")]) == 0
+    trained = copy.deepcopy(tiny_model)
+    with torch.no_grad():
+        next(trained.parameters()).add_(1e-3)
+    save_model(trained, model)
+    assert main([*map(str, options), str(tmp_path / "after")]) == 1
+    assert "other weights of" in " ".join(capsys.readouterr().err.split())
+    assert calibrate(photo, *readings(depth, 1.5, 1), *of_model, kept, "--add") == 2
 
 
 def test_says_that_there_is_no_need(photo: Path, depth: DepthMap, capsys: pytest.CaptureFixture[str]) -> None:

@@ -337,6 +337,7 @@ def test_names_keep_what_stands_behind_a_dot_unless_it_is_a_suffix(
 ) -> None:
     network = load_model(model_file)
     monkeypatch.setattr("zoedepth.serve.engine.load_for_prediction", lambda source, **_: network)
+    monkeypatch.setattr("zoedepth.serve.engine.weights_of", lambda source, **_: "")
     (tmp_path / "v1.2").mkdir()
     sources = ("lab/depth-v1.0", "lab/depth-v1.1", str(tmp_path / "v1.2"), model_file)
     engine = Engine(Settings(sources), Metrics())

@@ -1,5 +1,6 @@
 """The one door for models: names, files, folders and ids."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights import load
-from zoedepth.weights.load import available_models, find, load_model
+from zoedepth.weights.load import available_models, find, load_model, weights_of
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import save_model
 
@@ -41,6 +42,23 @@ def test_folder_with_a_model_is_loaded(tiny_model: ZoeDepth, file: Path):
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
+
+
+class TestWeightsOf:
+    def test_a_copy_has_the_same_wherever_it_lies(self, file: Path, tmp_path: Path):
+        other = tmp_path / "elsewhere" / file.name
+        other.parent.mkdir()
+        other.write_bytes(file.read_bytes())
+        assert weights_of(other, pad=False) == weights_of(file, pad=False)
+
+    def test_other_weights_and_options_have_another(self, tiny_model: ZoeDepth, file: Path):
+        found = [weights_of(file, pad=False), weights_of(file, pad=True), weights_of(file, compat=["10m"], pad=False)]
+        other = copy.deepcopy(tiny_model)
+        with torch.no_grad():
+            next(other.parameters()).add_(1e-3)
+        save_model(other, file)
+        found.append(weights_of(file, pad=False))
+        assert len(set(found)) == 4
 
 
 def test_unknown_name_lists_the_known_ones():

@@ -59,6 +59,9 @@ class Calibration:
     """The camera of the photo; None where nobody said."""
     network: str | None = None
     """Name of the model whose depth was calibrated; None where nobody said."""
+    weights: str | None = None
+    """Hash of its weights and of the options that change their metres, see ``weights.load.weights_of``; None where
+    nobody said."""
     domain: str | None = None
     """Scene type whose head made the depth; None where nobody said."""
     focal_corrected: bool = False
@@ -124,24 +127,38 @@ class Calibration:
         return (std * slope).astype(np.float32)
 
     def mismatches(
-        self, *, camera: Camera | None, network: str | None, domain: str | None, focal_corrected: bool
+        self,
+        *,
+        camera: Camera | None,
+        network: str | None,
+        domain: str | None,
+        focal_corrected: bool,
+        weights: str | None = None,
     ) -> tuple[str, ...]:
         """Return the reasons for which this calibration does not hold for a photo; none where it holds.
 
         A calibration holds for one camera (whatever the size of its photos, and on its side, too), one model, one head,
-        and depth that was corrected by the focal length or was not. What nobody said is not compared.
+        and depth that was corrected by the focal length or was not. A model is known by its weights where both sides
+        say them, else by its name: a training may have changed what a name means. What nobody said is not compared.
 
         Args:
             camera: the camera of the photo.
             network: name of the model.
             domain: scene type whose head makes the depth.
             focal_corrected: True where the depth is corrected by the focal length.
+            weights: hash of the model's weights, see ``weights.load.weights_of``.
         """
         found = []
         if self.camera is not None and camera is not None and (reason := other_camera(self.camera, camera)):
             found.append(reason)
-        if self.network is not None and network is not None and not _one_network(network, self.network):
+        one_name = self.network is None or network is None or _one_network(network, self.network)
+        one_weights = None if self.weights is None or weights is None else weights == self.weights
+        if not one_name and not one_weights:
             found.append(f"it was measured with the model {self.network}, and this is {network}")
+        elif one_weights is False:
+            found.append(
+                f"it was measured with other weights of {network or 'the model'}, or another --compat or --pad"
+            )
         if self.domain is not None and domain is not None and domain != self.domain:
             found.append(f"it was measured with the head for {self.domain}, and this depth is of that for {domain}")
         if focal_corrected != self.focal_corrected:

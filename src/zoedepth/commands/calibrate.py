@@ -123,7 +123,7 @@ def calibrate(
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_for_prediction
+    from zoedepth.weights.load import load_for_prediction, weights_of
 
     earlier = None
     if out is not None:
@@ -152,6 +152,7 @@ def calibrate(
         camera=known_camera,
         focal_correction=None if focal_correction == "model" else focal_correction == "yes",
     )
+    weights = weights_of(model, compat=compat, pad=predictor.pad)
     result = predictor(photo, domain=domain)
     if not readings and sparse is None:
         places = places_to_measure(result.depth, result.valid)
@@ -159,7 +160,11 @@ def calibrate(
         raise InputError(f"give what was measured: --at X,Y=METRES. Good places in this photo are {proposed}")
     if earlier is not None and (
         reasons := earlier.mismatches(
-            camera=result.camera, network=model, domain=result.domain, focal_corrected=result.focal_correction != 1
+            camera=result.camera,
+            network=model,
+            domain=result.domain,
+            focal_corrected=result.focal_correction != 1,
+            weights=weights,
         )
     ):
         raise InputError(f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}")
@@ -171,7 +176,7 @@ def calibrate(
     found = result.find_calibration(
         readings if sparse is None else sparse, along_ray=along_ray, form=form, photo=name, earlier=earlier
     )
-    found = replace(found, network=model)
+    found = replace(found, network=model, weights=weights)
     if out is not None:
         write_calibration(out, found)
     if json_:

@@ -269,6 +269,7 @@ def predict(
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
+        from zoedepth.weights.load import weights_of
 
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
@@ -298,6 +299,8 @@ def predict(
             )
             if domain is not None:
                 predictor.domain_index(domain)
+            if corrections is not None:
+                wanted = replace(wanted, weights=weights_of(model, compat=compat, pad=predictor.pad))
             settings = job_settings(wanted, predictor, weights=network_fingerprint(network))
             tally = Tally(total=len(first) if all_known else None)
             with place.opened() as manifest:

@@ -14,6 +14,8 @@ from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
 
+_SAID_OTHERWISE = ("model", "weights", "calibration", "outputs")  # fields of a request
+
 
 def network_fingerprint(network: "DepthModel | ExportedModel") -> str:
     """Return a hash of a network: its configuration and its weights, whatever name they came by.
@@ -44,7 +46,7 @@ def job_settings(request: Request, predictor: Predictor, *, weights: str) -> dic
         weights: ``network_fingerprint``.
     """
     calibration = request.calibration
-    asked = {name: value for name, value in asdict(request).items() if name not in ("model", "calibration", "outputs")}
+    asked = {name: value for name, value in asdict(request).items() if name not in _SAID_OTHERWISE}
     return {
         "weights": weights,
         "zoedepth": __version__,

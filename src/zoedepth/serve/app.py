@@ -223,7 +223,7 @@ def _add_calls(app: FastAPI, engine: Engine, settings: Settings) -> None:
         def finish(result: DepthMap, photo: Decoded) -> bytes:
             along_ray = query.along_ray == "true"
             found = result.find_calibration([*readings, *distances], along_ray=along_ray, form=query.form)
-            found = replace(found, network=model.told)
+            found = replace(found, network=model.told, weights=model.weights)
             return dump({"zoedepth": "calibration", "calibration": found.to_json()})
 
         return _answer(*await compute(request, query, parts, finish))
@@ -309,7 +309,7 @@ def _calibrated(query: CalibratedQuery, parts: Mapping[str, bytes], model: Model
         return lambda result: result.calibrated(replace(calibration, focal_corrected=result.focal_correction != 1))
     # The command line knows a model by what follows --model; older calibrations know it by what it is called here.
     network = model.name if calibration.network == model.name else model.source
-    return lambda result: result.calibrated(calibration, network=network)
+    return lambda result: result.calibrated(calibration, network=network, weights=model.weights)
 
 
 def _point(result: DepthMap, x: float, y: float) -> dict[str, object]:

@@ -22,7 +22,7 @@ from zoedepth.serve.problems import ClientGone, Problem, sentence
 from zoedepth.serve.settings import Settings
 from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
-from zoedepth.weights.load import load_for_prediction
+from zoedepth.weights.load import load_for_prediction, weights_of
 from zoedepth.weights.releases import RELEASES
 
 Result = TypeVar("Result")
@@ -79,6 +79,8 @@ class Model:
         base = Predictor(network, device=settings.device, precision=self._precision)
         self.network = base.model
         """The network, on its device."""
+        self.weights = weights_of(source, pad=base.pad)
+        """Hash by which calibrations know the weights."""
         self.on_cpu = isinstance(network, ExportedModel) or base.device.type == "cpu"
         """True where the network computes on the CPU."""
         self._predictors: dict[tuple[bool, bool | None], Predictor] = {(True, None): base}

@@ -12,6 +12,7 @@ from zoedepth.moved import moved_name
 from zoedepth.presets import PRESETS
 from zoedepth.threads import has_accelerator
 from zoedepth.weights.exported import ExportedModel, Precision, is_exported, load_exported
+from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
 from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
 from zoedepth.weights.releases import ASSETS, RELEASES
 
@@ -124,6 +125,22 @@ def load_network(
     from zoedepth.weights.fit import model_of
 
     return model_of(read_checkpoint(path), source=path, compat=compat)
+
+
+def weights_of(name_or_path: str | Path, *, compat: Iterable[str] = (), pad: bool) -> str:
+    """Return a hash of the weights that a name stands for now, and of the options that change their metres.
+
+    The runtime that computes them does not matter, nor does the number type. An exported file has weights of its own.
+
+    Args:
+        name_or_path: see ``load_model``.
+        compat: see ``load_model``.
+        pad: True where photos are padded, see ``Predictor``.
+
+    Raises:
+        InputError: there is no such model.
+    """
+    return fingerprint([weights_fingerprint(find(name_or_path)), sorted(set(compat)), pad])
 
 
 def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
