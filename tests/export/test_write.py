@@ -342,6 +342,18 @@ def test_what_cannot_be_traced_is_said(tmp_path: Path):
         assert torch.allclose(program(photos(test_adabins.TINY))[0], wrapped(photos(test_adabins.TINY))[0], rtol=1e-4)
 
 
+def test_too_little_memory_is_not_blamed_on_the_model(
+    tiny_config: ModelConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    def write(*_: object, **__: object) -> float:
+        raise RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes")
+
+    monkeypatch.setattr("zoedepth.export.write._write", write)
+    with pytest.raises(RuntimeError, match="can't allocate memory"):  # what the command line knows too little memory by
+        export_model(beit(tiny_config, 2), tmp_path / "model.onnx", to="onnx")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_wrong_wishes_are_refused(tiny_config: ModelConfig, tmp_path: Path):
     model = beit(tiny_config, 2)
     path = tmp_path / "model.onnx"

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from zoedepth import __version__
 from zoedepth.config import ModelConfig, NewCrfsConfig, NewCrfsNetworkConfig, to_dict
-from zoedepth.errors import FullDiskError, InputError, MissingExtraError, ZoeDepthError
+from zoedepth.errors import FullDiskError, InputError, MissingExtraError, ZoeDepthError, is_no_memory
 from zoedepth.export.first_layers import keep_in_float32
 from zoedepth.export.int8 import TOLERANCE_INT8, mean_rel, prepared, quantized, some
 from zoedepth.export.wrapper import ExportModel
@@ -101,6 +101,8 @@ def export_model(
                     size=size or model.config.size,
                 )
         except RuntimeError as error:  # the errors of all exporters are kinds of it
+            if is_no_memory(error):
+                raise
             raise ExportError(f"{to} cannot hold this model: {str(error)[:300]}") from error
         for file in sorted(part.parent.iterdir()):  # .bin before .xml, which needs it
             shutil.move(file, path.parent / file.name)
