@@ -291,6 +291,20 @@ class TestInTurn:
         results.close()
         assert list(in_turn(lambda number: -number, range(20), workers=3)) == [-number for number in range(20)]
 
+    def test_no_more_are_asked_for_while_those_that_wait_hold_much(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("zoedepth.batch.MAX_HELD", 25)
+        asked = []
+
+        def items() -> Iterator[int]:
+            for number in range(20):
+                asked.append(number)
+                yield number
+
+        results = in_turn(lambda number: number, items(), workers=4, held=lambda number: 10)
+        assert next(results) == 0
+        assert len(asked) == 3
+        assert list(results) == list(range(1, 20))
+
     def test_nothing_is_begun_after_a_reason_to_stop_and_what_was_begun_is_told(self) -> None:
         begun, told = [], []
 

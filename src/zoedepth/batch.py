@@ -74,6 +74,9 @@ _NO_TILES = (
     "is as without --tiles"
 )
 
+MAX_HELD = 1 << 28
+"""Bytes that inputs hold while they wait, such as members of compressed archives: beyond, no more of them are read."""
+
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 Item = TypeVar("Item")
@@ -467,7 +470,7 @@ def predict_maps(photo: Photo, predictor: "Predictor", request: Request) -> Pred
     content = None if photo.origin is None else photo.origin.read()
 
     def picture() -> Any:
-        return photo.path if content is None else _NamedBytes(content, photo.name)
+        return photo.path if content is None else NamedBytes(content, photo.name)
 
     notes: tuple[str, ...] = ()
     if request.relative:
@@ -538,7 +541,7 @@ def write_drafts(
     return Outcome(photo, sidecar, files, notes)
 
 
-class _NamedBytes(BytesIO):
+class NamedBytes(BytesIO):
     """Bytes as an open file with a name, for messages."""
 
     def __init__(self, content: bytes, name: str) -> None:
@@ -592,6 +595,7 @@ def in_turn(
     *,
     workers: int,
     ahead: int | None = None,
+    held: Callable[[Item], int] = lambda item: 0,
     stop: Callable[[], InputError | None] = lambda: None,
 ) -> Iterator[Result]:
     """Do ``workers`` items at a time, each in a thread, and yield their results in the order of the items.
@@ -604,6 +608,8 @@ def in_turn(
         items: things to do. They are asked for as they are needed.
         workers: items that are done at the same time.
         ahead: items that are asked for before the first of them is done, at most; None: four for each worker.
+        held: function that returns the bytes that an item holds. No more items are asked for while those that wait
+            hold more than ``MAX_HELD`` together.
         stop: returns why no other item shall be begun, or None. It is asked after each result.
 
     Raises:
@@ -611,14 +617,18 @@ def in_turn(
     """
     executor, source = ThreadPoolExecutor(workers), iter(items)
     waiting: deque[Future[Result]] = deque()
+    sizes: deque[int] = deque()  # bytes that the items of these results hold
+    ahead = ahead or 4 * workers
     try:
         while True:
-            for item in islice(source, (ahead or 4 * workers) - len(waiting)):
-                waiting.append(executor.submit(work, item))
+            while len(waiting) < ahead and sum(sizes) <= MAX_HELD and (more := tuple(islice(source, 1))):
+                sizes.append(held(more[0]))
+                waiting.append(executor.submit(work, more[0]))
             if not waiting:
                 break
             result = waiting[0].result()
             waiting.popleft()
+            sizes.popleft()
             yield result
             if (error := stop()) is not None:
                 raise error

@@ -27,7 +27,7 @@ def lock_file(file: Path) -> Path:
 
 
 @contextmanager
-def only_one(file: Path, *, work: str, advice: str) -> Iterator[None]:
+def only_one(file: Path, *, work: str, advice: str, wait_s: float = 0) -> Iterator[None]:
     """Hold the lock of a file until the block ends.
 
     The system holds the lock for the process, so that it is gone with the process, also after a kill or a crash. It
@@ -39,6 +39,7 @@ def only_one(file: Path, *, work: str, advice: str) -> Iterator[None]:
         file: the file. The lock is another beside it, which stays (``lock_file``).
         work: the work of another command that has the lock, for the message: "another command ...".
         advice: the end of that message, for people who meet it.
+        wait_s: seconds to wait for the lock.
 
     Raises:
         HeldError: another command has the lock.
@@ -48,7 +49,7 @@ def only_one(file: Path, *, work: str, advice: str) -> Iterator[None]:
 
     path = lock_file(file)
     holder = _holder(path)  # before: filelock before version 4 empties the file when it asks for the lock
-    lock = FileLock(path, timeout=0, fallback_to_soft=False)
+    lock = FileLock(path, timeout=wait_s, fallback_to_soft=False)
     try:
         try:
             lock.acquire()
@@ -57,7 +58,7 @@ def only_one(file: Path, *, work: str, advice: str) -> Iterator[None]:
                 raise
             path = path.with_suffix(".held")
             holder = _holder(path)
-            lock = SoftFileLock(path, timeout=0)
+            lock = SoftFileLock(path, timeout=wait_s)
             advice = f"{advice}. If it does not run any more, delete {path}"
             lock.acquire()
     except Timeout as error:

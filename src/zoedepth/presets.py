@@ -226,6 +226,7 @@ differ from it."""
 
 
 _ANY = replace(OUTDOOR, name="any")
+_KITTI_SIZE = (352, 1216)
 _NATIVE: dict[str, NetworkConfig] = {
     "bts": BtsNetworkConfig(),
     "adabins": AdaBinsNetworkConfig(),
@@ -236,7 +237,7 @@ _NATIVE: dict[str, NetworkConfig] = {
 
 BASELINES: dict[str, BaselineConfig] = {
     **{f"{name}-n": BaselineConfig(network, domains=(INDOOR,)) for name, network in _NATIVE.items()},
-    **{f"{name}-k": BaselineConfig(network, domains=(OUTDOOR,), size=(352, 1216)) for name, network in _NATIVE.items()},
+    **{f"{name}-k": BaselineConfig(network, domains=(OUTDOOR,), size=_KITTI_SIZE) for name, network in _NATIVE.items()},
     # Trained on both, as in the paper's Table 2.
     **{f"{name}-nk": BaselineConfig(network, domains=(_ANY,)) for name, network in _NATIVE.items()},
     # DORN's layer over the whole photo has one size, and its intervals fit one range.
@@ -271,8 +272,8 @@ def _ten_metres(config: AnyModelConfig) -> AnyModelConfig:
 
 
 def _eighty_metres(config: AnyModelConfig) -> AnyModelConfig:
-    if isinstance(config, BaselineConfig):
-        return replace(config, domains=(OUTDOOR,))
+    if isinstance(config, BaselineConfig):  # they all were trained on photos of one size there
+        return replace(config, domains=(OUTDOOR,), size=config.size if config.one_size else _KITTI_SIZE)
     head = config.head
     if len(config.domains) != 1 or not isinstance(head, AttractorConfig) or head.centers != "softplus":
         raise InputError(

@@ -167,6 +167,12 @@ class TestSeveralPhotos:
         again = calibrate(depth, read(truth, 3), photo="a.jpg", earlier=first)
         assert again == calibrate(depth, read(truth, 3), photo="a.jpg")
 
+    def test_readings_that_are_not_listed_go_with_their_photo(self) -> None:
+        depth, truth = room()
+        first = replace(calibrate(depth, read(2 * truth, 5), photo="a.jpg"), n_readings=500)  # a file lists some
+        assert calibrate(depth, read(truth, 3), photo="a.jpg", earlier=first).n_readings == 3
+        assert calibrate(depth, read(truth, 3), photo="b.jpg", earlier=first).n_readings == 503
+
     @pytest.mark.parametrize(
         ("changes", "given", "message"),
         [

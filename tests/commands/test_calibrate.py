@@ -4,6 +4,7 @@ import copy
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -235,6 +236,37 @@ class TestSeveralPhotos:
         assert (read_calibration(kept).n_photos, read_calibration(kept).n_readings) == (3, 9)
         assert calibrate(photo, *readings(depth, 1.5, 1), "--out", kept) == 0  # without --add
         assert read_calibration(kept).n_readings == 1
+
+    def test_readings_that_another_command_adds_meanwhile_are_kept(
+        self, photo: Path, depth: DepthMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        kept, other = tmp_path / "camera.json", tmp_path / "other.jpg"
+        other.write_bytes(photo.read_bytes())
+        assert calibrate(photo, *readings(depth, 1.5, 3), "--out", kept) == 0
+        predict = Predictor.__call__
+
+        def meanwhile(self: Predictor, *arguments: Any, **options: Any) -> DepthMap:
+            monkeypatch.setattr(Predictor, "__call__", predict)
+            assert calibrate(other, *readings(depth, 1.5, 3), "--out", kept, "--add") == 0
+            return predict(self, *arguments, **options)
+
+        third = tmp_path / "third.jpg"
+        third.write_bytes(photo.read_bytes())
+        monkeypatch.setattr(Predictor, "__call__", meanwhile)
+        assert calibrate(third, *readings(depth, 1.5, 3), "--out", kept, "--add") == 0
+        assert {Path(each.photo).name for each in read_calibration(kept).readings} == {
+            "photo.jpg", "other.jpg", "third.jpg",
+        }  # fmt: skip
+
+    def test_readings_of_the_service_which_has_no_names_of_photos_are_added_to(
+        self, photo: Path, depth: DepthMap, tmp_path: Path
+    ) -> None:
+        kept = tmp_path / "camera.json"
+        assert calibrate(photo, *readings(depth, 1.5, 3), "--out", kept) == 0
+        made = read_calibration(kept)
+        write_calibration(kept, replace(made, readings=tuple(replace(each, photo="") for each in made.readings)))
+        assert calibrate(photo, *readings(depth, 1.5, 2), "--out", kept, "--add") == 0
+        assert (read_calibration(kept).n_photos, read_calibration(kept).n_readings) == (2, 5)
 
     def test_of_two_cameras_are_not_taken_together(
         self, photo: Path, depth: DepthMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -47,6 +47,14 @@ def test_pixels_are_those_of_the_first_photo_that_can_be_read(photos: list[Path]
     with pytest.raises(InputError, match=r"0\.jpg"):
         chosen_camera(photos[:1], **{**NOTHING, "focal_px": 55.0})
 
+    def damaged() -> Path:
+        raise InputError("a.zip::0.jpg: cannot be read from its archive")
+
+    found = chosen_camera([damaged, lambda: photos[1]], **{**NOTHING, "focal_px": 55.0})
+    assert found == Camera.from_focal(55.0, (40, 60))
+    with pytest.raises(InputError, match=r"a\.zip::0\.jpg"):
+        chosen_camera([damaged], **{**NOTHING, "focal_px": 55.0})
+
 
 def test_a_file(photos: list[Path], tmp_path: Path) -> None:
     np.save(tmp_path / "k.npy", np.array([[55.0, 0, 28], [0, 56, 21], [0, 0, 1]]))

@@ -171,6 +171,15 @@ def test_lossy_depth_is_an_error_before_anything_is_read(folder: Path, key: str)
         PairDataset(jsonl(folder, {"image": "photo.jpg", key: "photo.jpg", "depth_scale": 1, "domain": "indoor"}))
 
 
+def test_a_depth_map_that_is_missing_is_said_to_be_missing_whoever_says_its_unit(folder: Path) -> None:
+    unsaid = {key: value for key, value in GOOD.items() if key != "depth_scale"}
+    path = jsonl(folder, GOOD, {**unsaid, "depth": "gone.png"})
+    with pytest.raises(InputError, match=r"lists 1 files that do not exist, the first is .*gone\.png"):
+        PairDataset(path)
+    kept = PairDataset(path, keep_missing=True)
+    assert [file.name for file in kept.missing_files()] == ["gone.png"]
+
+
 def test_name_in_other_capitals_is_missing_and_named(folder: Path) -> None:
     if (folder / "PHOTO.JPG").exists():  # capitals do not count on macOS and Windows: the file is found
         assert len(PairDataset(jsonl(folder, {**GOOD, "image": "PHOTO.JPG"}))) == 1

@@ -159,6 +159,7 @@ def test_malformed_line_is_an_error_that_names_file_line_and_field(
 ) -> None:
     good = {"image": "photo.jpg", "depth": "target.png", "disparity": "", "depth_scale": "1000", "domain": "indoor"}
     write_csv(tmp_path / "train.csv", [good, good, {**good, **bad}, good])
+    Image.fromarray(np.ones((1, 1), np.uint16)).save(tmp_path / "target.png")  # one that does not say its scale
 
     with pytest.raises(InputError, match=word) as raised:
         PairDataset(tmp_path)
@@ -172,6 +173,7 @@ def test_missing_column_is_an_error_that_names_file_and_line(tmp_path: Path, col
     row = {"image": "photo.jpg", "depth": "target.png", "depth_scale": "1000", "domain": "indoor"}
     del row[column]
     write_csv(tmp_path / "train.csv", [row])
+    Image.fromarray(np.ones((1, 1), np.uint16)).save(tmp_path / "target.png")  # one that does not say its scale
     with pytest.raises(InputError, match=rf"train\.csv, line {line}.*{column}"):
         PairDataset(tmp_path)
 
@@ -416,8 +418,10 @@ def test_what_lines_leave_out_may_be_said_once(tmp_path: Path) -> None:
     sample = PairDataset(path)[0]
     assert sample.target[0].tolist() == [[0.5, 2]]
     assert (sample.domain, sample.camera) == ("garden", Intrinsics(5, 6, 1, 0.25))
-    told = PairDataset(path, depth_scale=500, domain="cellar")  # who asks knows best
-    assert (told[0].target[0].tolist(), told.domains) == ([[1, 4]], ["cellar"])
+    assert PairDataset(path, domain="cellar").domains == ["cellar"]  # who asks knows best
+    assert PairDataset(path, depth_scale=1000)[0].target[0].tolist() == [[0.5, 2]]
+    with pytest.raises(InputError, match=r"dataset\.json says depth_scale 1000, and 500 is asked for"):
+        PairDataset(path, depth_scale=500)
 
 
 @pytest.mark.parametrize(

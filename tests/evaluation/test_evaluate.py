@@ -7,17 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch.distributed as distributed
 from PIL import Image
 from tests.evaluation.samples import EVERYWHERE, FactorSource, photo
 from tests.folders import write_pairs
 
+from zoedepth.data.pairs import PairDataset
 from zoedepth.data.sample import Sample
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
 from zoedepth.evaluation.evaluate import evaluate, folder_name
-from zoedepth.evaluation.evaluation_set import EvaluationSet
+from zoedepth.evaluation.evaluation_set import EvaluationSet, open_evaluation_set
+from zoedepth.evaluation.predictions import FolderSource
 from zoedepth.evaluation.summary import summarise
 
 DOCS = Path(__file__).parents[2] / "docs" / "evaluation.md"
@@ -77,6 +80,23 @@ def test_failures_are_told_one_by_one_and_make_it_incomplete() -> None:
     assert [(s.n_scored, s.n_failed) for s in found.summaries] == [(3, 1), (1, 1)]
     assert not found.complete
     assert evaluate({"ours": FactorSource(broken=["1.jpg"])}, SETS).failures == told  # without a callback, too
+
+
+def test_photos_of_two_data_sets_may_not_share_a_depth_map(tmp_path: Path) -> None:
+    sets = {
+        name: open_evaluation_set(write_pairs(tmp_path / name, n=1, split="test", size=(8, 8)))
+        for name in ("kitchen", "hall")
+    }
+    pair = sets["kitchen"].dataset
+    assert isinstance(pair, PairDataset)
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    np.save(maps / f"{Path(pair.name_of(0)).stem}.npy", np.ones((8, 8), np.float32))
+    with pytest.raises(InputError, match=r"would be the depth of two photos, .* of kitchen and .* of hall"):
+        evaluate({"theirs": FolderSource(maps)}, sets)
+    # One photo in two data sets, as under two protocols, has one map.
+    twice = {"one": sets["hall"], "two": sets["hall"]}
+    assert not evaluate({"theirs": FolderSource(maps)}, twice).failures
 
 
 def test_set_without_a_pixel_to_score_is_a_failure() -> None:

@@ -517,6 +517,11 @@ def test_guesses_are_made_from_the_samples_of_the_domains_that_are_scored(tmp_pa
     protocols = {"indoor": EVERYWHERE}
     found = trivial_sources([rooms, streets, stills], protocols)
     assert tuple(found) == TRIVIAL
+    (tmp_path / "lists").mkdir()
+    elsewhere = rooms.rename(tmp_path / "lists/rooms.csv")
+    moved = trivial_sources([elsewhere], protocols, root=tmp_path / "rooms")
+    elsewhere.rename(rooms)
+    assert moved[TRIVIAL[0]].predict(photo((6, 8)), EVERYWHERE).depth.max() > 0
     training = [PairDataset(rooms)[i] for i in range(3)]
     constant, mean_map = ConstantSource(training, protocols), MeanMapSource(training, protocols)
     sample = photo((6, 8))

@@ -287,6 +287,15 @@ class TestSeveralCameras:
         path = write(tmp_path / "cameras.txt", self.FIRST + "2 SIMPLE_RADIAL 320 240 300 160 120 0.1\n")
         assert read_camera(path, SIZE).fx == 500
         assert "lens distortion (0.1)" in error(path, path.read_text(), (240, 320))
+        with pytest.raises(InputError, match=r"cameras\.txt: it has lens distortion \(0\.1\)"):
+            camera_of(read_cameras(path, SIZE), (240, 320))
+
+    def test_nonsense_of_others_is_told_to_their_photos(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "cameras.txt", self.FIRST + "2 SIMPLE_PINHOLE 320 240 0.9 0.5 0.5\n")
+        cameras = read_cameras(path, SIZE)
+        assert camera_of(cameras, SIZE).fx == 500
+        with pytest.raises(InputError, match="which is nonsense"):
+            camera_of(cameras, (240, 320))
 
 
 class TestDistortion:

@@ -127,6 +127,17 @@ def test_damaged_archives(tmp_path: Path) -> None:
         TarMember(str(tmp_path / "b.tar"), "a.jpg", 1, 99).read()
 
 
+def test_a_member_that_unpacks_to_far_more_than_it_is_large_is_not_unpacked(tmp_path: Path) -> None:
+    with (
+        zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("a.png", "w") as file,
+    ):
+        for _ in range(120):
+            file.write(bytes(1_000_000))
+    with pytest.raises(InputError, match="would unpack to 120,000,000"):
+        ZipMember(str(tmp_path / "bomb.zip"), "a.png").read()
+
+
 def test_nothing_larger_than_a_photo_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(origins, "MAX_PHOTO", 1000)
     fsspec.filesystem("memory").pipe("/origins/large.jpg", bytes(1001))

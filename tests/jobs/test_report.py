@@ -42,6 +42,16 @@ def test_a_shard_that_is_worked_on_is_running(job: Path) -> None:
     assert seen[0] == [False, True, False]
 
 
+def test_more_shards_are_merged_than_files_may_be_open_as_a_rule(job: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    resource = pytest.importorskip("resource", reason="this system has no limit of open files")
+    asked: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (64, 4096))
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limits: asked.append(limits))
+    merge_shards(str(job))
+    ((now, most),) = asked
+    assert 64 < now <= most == 4096
+
+
 def test_merged_it_goes_on_without_shards(job: Path) -> None:
     before = contents(job)
     n_done = sum(each.done for each in read_status(str(job)))

@@ -15,7 +15,7 @@ from zoedepth.reproduction import run
 from zoedepth.reproduction.run import FAILED, open_scored, read_result, run_unit
 from zoedepth.reproduction.scale import Scale
 from zoedepth.reproduction.shown import shown
-from zoedepth.reproduction.units import Unit, plan
+from zoedepth.reproduction.units import Training, Unit, plan
 from zoedepth.train.config import TrainConfig
 
 
@@ -102,6 +102,23 @@ def test_training_that_does_not_converge_is_a_result(
     assert run_unit(tmp_path, units[0], open_scored(data)) == found  # it is not tried again
     assert FAILED in all_results(tmp_path, units, data)
     assert any("the loss is not finite" in line for line in said)
+
+
+@pytest.mark.usefixtures("random_start")
+def test_pre_training_that_does_not_converge_is_no_result_of_the_row(
+    units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def diverge(config: TrainConfig, **_: object) -> Path:
+        raise TrainingError("the loss is not finite")
+
+    unit = next(each for each in units if each.training and isinstance(each.training.start, Training))
+    monkeypatch.setattr(run, "train_relative", diverge)
+    said: list[str] = []
+    assert run_unit(tmp_path, unit, open_scored(data), say=said.append) is None
+    assert any("base" in line and "the loss is not finite" in line for line in said)
+    monkeypatch.setattr(run, "train_relative", _kill)
+    with pytest.raises(Killed):  # it is tried again
+        run_unit(tmp_path, unit, open_scored(data))
 
 
 @pytest.mark.usefixtures("random_start")

@@ -123,14 +123,15 @@ class TestLoadFast:
         assert str(error) in found.why
         assert "OpenVINO, bfloat16" in found.why
 
-    def test_int8_runs_the_file_that_was_measured_or_not_at_all(
-        self, weights: Path, here: Machine, monkeypatch: pytest.MonkeyPatch
+    def test_int8_runs_the_file_that_was_measured_or_something_else_is_chosen(
+        self, weights: Path, here: Machine, exported: dict[str, Any], monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(fasts, "exported_file", lambda *_, **__: pytest.fail("its photos are not known here"))
-        chosen(weights, here, "OpenVINO, int8", file=str(weights.with_name("gone.xml")))
-        found = load_fast(weights)
-        assert (found.runtime, found.device) == ("torch, float32", "auto")
-        assert "gone.xml" in found.why
+        """Its photos are not known here, so that it cannot be exported again."""
+        choice = chosen(weights, here, "OpenVINO, int8", file=str(weights.with_name("gone.xml")))
+        again = replace(choice, runtime="OpenVINO, float32", file="")
+        monkeypatch.setattr(fasts, "decide", lambda *_, **__: (again, True))
+        assert load_fast(weights).runtime == "OpenVINO, float32"
+        assert read_choice(choice.weights, here, versions()) == again
 
     def test_relative_depth_and_named_devices_stay_with_torch(
         self, weights: Path, here: Machine, exported: dict[str, Any]

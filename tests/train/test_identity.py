@@ -85,11 +85,13 @@ def test_weights_are_known_by_their_content_and_not_by_the_texts_beside_it(
     [
         (["a", "1"], ["a", "1"], True),
         (["a", "1"], ["a", "2"], False),
+        (["a", "1"], ["/w/a", "1"], True),  # the same file by another path
         (["a", "1"], ["a", None], True),  # gone by now
+        (["a", "1"], ["b", None], False),
         (["a", None], ["b", None], False),
         ([None, None], ["a", None], False),
         ({"a": 1}, {"a": 1}, True),
     ],
 )
-def test_weights_that_are_gone_agree_by_their_name(first: object, second: object, same: bool) -> None:
+def test_weights_agree_by_their_content_or_their_name(first: object, second: object, same: bool) -> None:
     assert same_start(first, second) == same

@@ -1,5 +1,6 @@
 """A run: built from nothing or from its last checkpoint, with all parts that the stages train with."""
 
+import json
 import os
 import signal
 from collections.abc import Callable
@@ -64,6 +65,21 @@ def test_a_run_with_checkpoints_goes_on_from_the_newest(
     assert [batch.names for batch in run.batches] == names[2:]
     assert "metric from step_000002 of" in capsys.readouterr().err
     assert last_checkpoint(run) == run.out / "step_000002"
+
+
+def test_another_precision_of_another_machine_is_said(start_run: StartRun, capsys: pytest.CaptureFixture[str]) -> None:
+    first = start_run(precision="32-true")
+    first.state.step = 1
+    saved = first.state.save(first.out, first.config, first.identity)
+    start_run(precision="32-true")
+    assert "was the precision" not in capsys.readouterr().err
+    meta = json.loads((saved / "meta.json").read_text())
+    assert meta["precision"] == "32-true"
+    (saved / "meta.json").write_text(json.dumps({**meta, "precision": "bf16-mixed"}))  # as of another machine
+    start_run(precision="32-true")
+    assert "warning: bf16-mixed was the precision until here, and this machine takes 32-true" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_a_run_on_other_data_is_refused(start_run: StartRun, data: Data) -> None:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from zoedepth.errors import TrainingError
 from zoedepth.train.config import OptimConfig
 from zoedepth.train.run import Run
-from zoedepth.train.step import add_means, backward, begin_step, freeze_batch_norm, take_step
+from zoedepth.train.step import backward, begin_step, freeze_batch_norm, means, take_step
 
 StartRun = Callable[..., Run]
 
@@ -161,7 +161,8 @@ def test_in_float16_the_scaling_of_the_loss_deals_with_infinite_gradients(start_
 
 
 def test_numbers_of_a_step_are_means_over_its_batches() -> None:
-    numbers: dict[str, float] = {}
-    add_means(numbers, {"silog": torch.tensor(3.0), "domain": 1.0}, 2)
-    add_means(numbers, {"silog": torch.tensor(6.0), "domain": 2.0}, 2)
-    assert numbers == {"silog": 4.5, "domain": 1.5}
+    assert means([{"silog": 3.0, "domain": 1.0}, {"silog": 6.0, "domain": 2.0}]) == {"silog": 4.5, "domain": 1.5}
+
+
+def test_a_data_set_that_some_batches_have_not_has_the_mean_over_those_that_have_it() -> None:
+    assert means([{"ssi": 2.0}, {"ssi": 4.0, "ssi/nyu": 0.4}, {"ssi": 6.0}]) == {"ssi": 4.0, "ssi/nyu": 0.4}

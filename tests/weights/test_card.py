@@ -35,6 +35,11 @@ def examples(text: str) -> list[str]:
     return found
 
 
+def test_card_says_that_photos_are_squeezed():
+    _, text = card(config=replace(NK, resize="squeeze"))
+    assert "384 x 512 pixels (height x width): photos are squeezed to it" in text
+
+
 def test_card_without_anything_known_says_so():
     front, text = card()
     assert front == {

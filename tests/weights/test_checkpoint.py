@@ -2,6 +2,7 @@ import json
 import os
 import resource
 import shutil
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +14,8 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from tests.weights.layouts.layouts import TINY, same, tiny
 
-from zoedepth.config import ModelConfig, from_dict, to_dict
-from zoedepth.errors import InputError
+from zoedepth.config import Domain, ModelConfig, from_dict, to_dict
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights.checkpoint import LAYOUTS, Checkpoint, Layout, read_checkpoint, write_checkpoint
@@ -46,9 +47,14 @@ def test_layout_is_told_and_read(tmp_path: Path, kind: str, layout: Layout):
     checkpoint = read_checkpoint(write(tmp_path, layout, tiny(kind)))
     assert checkpoint.layout == layout
     assert same(checkpoint.weights, tiny(kind).weights)
-    # The original's file does not say the size of photos.
-    size = PRESETS[f"zoed-m12-{kind}"].size if layout == "original" else tiny(kind).config.size
-    assert checkpoint.config == replace(tiny(kind).config, size=size)
+    assert checkpoint.config == tiny(kind).config
+
+
+@KINDS
+def test_original_that_was_not_written_here_does_not_say_the_size_of_photos(tmp_path: Path, kind: str):
+    torch.save(torch.load(write(tmp_path, "original", tiny(kind)))["model"], tmp_path / "theirs.pt")
+    checkpoint = read_checkpoint(tmp_path / "theirs.pt")
+    assert checkpoint.config == replace(tiny(kind).config, size=PRESETS[f"zoed-m12-{kind}"].size)
 
 
 @pytest.mark.parametrize("suffix", [".pt", ".bin", ".safetensors", ""])
@@ -288,12 +294,23 @@ def test_names_that_no_file_can_have_are_no_models(name: str, kind: type):
 # --- there and back ---------------------------------------------------------------------------------------------------
 
 
+def test_original_that_was_written_here_keeps_what_no_shape_tells(tmp_path: Path):
+    checkpoint = tiny("n")
+    garden = Domain("garden", 0.1, 40.0, focal_px=900.0, std_factor=1.7)
+    own = checkpoint._replace(config=replace(checkpoint.config, domains=(garden,)))
+    file = write(tmp_path, "original", own)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", InputWarning)  # nothing is guessed
+        assert load_model(file).config == own.config
+
+
 @KINDS
 def test_all_layouts_in_turn_give_back_the_same_bits(tmp_path: Path, kind: str):
     start = write(tmp_path, "original", tiny(kind))
     checkpoint = read_checkpoint(start)
     for layout in ("zoedepth", "huggingface"):
         checkpoint = read_checkpoint(write(tmp_path, layout, checkpoint))
+    assert checkpoint.config == tiny(kind).config
     end = write_checkpoint(checkpoint, tmp_path / "end.pt", to="original")
     assert same(torch.load(end)["model"], torch.load(start)["model"])
 

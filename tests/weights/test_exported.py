@@ -29,6 +29,8 @@ from zoedepth.geometry.lens import Lens
 from zoedepth.predict import Predictor
 from zoedepth.presets import PRESETS
 from zoedepth.provenance import Provenance
+from zoedepth.runtimes.fast import load_fast
+from zoedepth.runtimes.runtime import RUNTIMES
 from zoedepth.weights.exported import METADATA, OnnxModel, is_exported, load_exported
 from zoedepth.weights.load import load_for_prediction, load_model
 from zoedepth.weights.openvino_processor import has_bfloat16
@@ -144,6 +146,8 @@ def test_an_exported_model_says_what_it_cannot_do(file: Path):
     exported = load_exported(file)
     with pytest.raises(InputError, match="no bins"):
         exported(torch.rand(1, 3, 64, 64), return_bins=True)
+    with pytest.raises(InputError, match="no gradients"):
+        exported(torch.rand(1, 3, 64, 64, requires_grad=True))
     with pytest.raises(InputError, match="relative"):
         exported.relative(torch.rand(1, 3, 64, 64))
     with pytest.raises(InputError, match="cannot be moved"):
@@ -365,8 +369,18 @@ def test_graphs_of_the_package_and_those_for_the_cpu_run_there_alone(
     available = ["TensorrtExecutionProvider", "CUDAExecutionProvider", "CPUExecutionProvider"]
     monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: available)
     monkeypatch.setattr(onnxruntime, "InferenceSession", start)
-    load_for_prediction(ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx"), device=device)
-    assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if "CPU" in first else 2)
+    file = ASSETS / "zoed-lite.onnx" if packaged else onnx_file(tmp_path / "a.onnx")
+    for load in (load_for_prediction, load_fast):
+        asked.clear()
+        load(file, device=device)
+        assert (asked[0], asked[-1], len(asked)) == (first, "CPUExecutionProvider", 1 if "CPU" in first else 2)
+
+
+def test_what_is_timed_as_on_the_processor_runs_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = list[str]()
+    monkeypatch.setattr("zoedepth.runtimes.runtime.load_exported", lambda *_, device, **__: asked.append(device))
+    RUNTIMES["ONNX Runtime, float32"].load(tmp_path / "a.onnx")
+    assert asked == ["cpu"]
 
 
 def test_images_of_a_batch_are_computed_one_by_one_on_a_processor(monkeypatch: pytest.MonkeyPatch):

@@ -96,8 +96,10 @@ def test_one_head_of_the_original_that_is_no_release_is_said_and_may_be_kittis()
 
 def test_released_checkpoint_of_one_head_is_nyus_without_a_warning():
     released = PRESETS["zoed-m12-n"]
-    assert not fit._is_taken_for_nyus(released)
-    assert fit._is_taken_for_nyus(replace(released, encoder=replace(released.encoder, taps=(0, 1, 2, 3))))
+    assert not fit._is_taken_for_nyus(released, "ZoeD_M12_N.pt")
+    assert fit._is_taken_for_nyus(released, "mine.pt")
+    other = replace(released, encoder=replace(released.encoder, taps=(0, 1, 2, 3)))
+    assert fit._is_taken_for_nyus(other, "ZoeD_M12_N.pt")
 
 
 def test_weights_of_the_model_itself_fit(tiny_model: ZoeDepth):

@@ -45,11 +45,30 @@ def test_folder_with_a_model_is_loaded(tiny_model: ZoeDepth, file: Path):
 
 
 class TestWeightsOf:
-    def test_a_copy_has_the_same_wherever_it_lies(self, file: Path, tmp_path: Path):
-        other = tmp_path / "elsewhere" / file.name
+    def test_a_copy_has_the_same_wherever_it_lies_and_whatever_lies_beside_it(self, file: Path, tmp_path: Path):
+        other = tmp_path / "elsewhere" / "other.safetensors"
         other.parent.mkdir()
         other.write_bytes(file.read_bytes())
+        (other.parent / "config.json").write_text("{}")
         assert weights_of(other, pad=False) == weights_of(file, pad=False)
+
+    def test_a_folder_counts_with_its_configuration(self, file: Path, tmp_path: Path):
+        weights = tmp_path / "folder" / "model.safetensors"
+        weights.parent.mkdir()
+        weights.write_bytes(file.read_bytes())
+        without = weights_of(weights.parent, pad=False)
+        assert weights_of(weights, pad=False) == without
+        (weights.parent / "config.json").write_text("{}")
+        assert weights_of(weights.parent, pad=False) != without
+
+    def test_an_exported_file_needs_nothing_beside_it(self, tmp_path: Path):
+        (tmp_path / "room.onnx").write_bytes(b"graph and weights")
+        alone = weights_of(tmp_path / "room.onnx", pad=False)
+        (tmp_path / "room.safetensors").write_bytes(b"what it was made from")
+        assert weights_of(tmp_path / "room.onnx", pad=False) == alone
+
+    def test_a_published_model_is_known_by_its_name_wherever_its_files_are(self):
+        assert weights_of("zoed-m12-n", pad=True) != weights_of("zoed-m12-k", pad=True)
 
     def test_other_weights_and_options_have_another(self, tiny_model: ZoeDepth, file: Path):
         found = [weights_of(file, pad=False), weights_of(file, pad=True), weights_of(file, compat=["10m"], pad=False)]

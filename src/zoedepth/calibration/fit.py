@@ -94,7 +94,7 @@ def calibrate(
         scale_error=math.expm1(posterior.reach(SCALE_LEVEL)),
         expected_error=math.expm1(posterior.pixel_reach(spreads, PIXEL_LEVEL, photo_variance=here)),
         error_elsewhere=math.expm1(posterior.pixel_reach(spreads, PIXEL_LEVEL, photo_variance=elsewhere)),
-        n_readings=len(together) + (0 if earlier is None else earlier.n_readings - len(earlier.readings)),
+        n_readings=len(together) + (0 if earlier is None else _n_unlisted(earlier, photo)),
         middle=float(np.median(measured.depth[:, 0])),
         readings=tuple(
             replace(reading, after=float(metres), outlier=not fits)
@@ -131,18 +131,28 @@ def _fit(readings: Sequence[Reading], depth: Float[np.ndarray, " new"], measured
 
 
 def _others(earlier: Calibration, photo: str, camera: Camera | None, form: Form) -> tuple[Reading, ...]:
-    """Return the readings of other photos in an earlier calibration.
+    """Return the readings of other photos in an earlier calibration. Those of no name, as of the service, are of one.
 
     Raises:
         InputError: they cannot be taken together with readings of this photo.
     """
     if form != "scale" or earlier.power != 1:
         raise InputError("scale-shift is fitted to the readings of one photo: for several, fit the scale alone")
-    if not photo or any(not reading.photo for reading in earlier.readings):
+    if not photo:
         raise InputError("name each photo (photo=) where readings of several are taken together")
     if earlier.camera is not None and camera is not None and (reason := other_camera(earlier.camera, camera)):
         raise InputError(f"readings in photos of two cameras cannot be taken together: {reason}")
     return tuple(reading for reading in earlier.readings if reading.photo != photo)
+
+
+def _n_unlisted(earlier: Calibration, photo: str) -> int:
+    """Return how many readings of other photos an earlier calibration has that it does not list.
+
+    It does not say of which photos they are: as many of each as of those that it lists.
+    """
+    unlisted = earlier.n_readings - len(earlier.readings)
+    kept = sum(reading.photo != photo for reading in earlier.readings)
+    return round(unlisted * kept / max(1, len(earlier.readings)))
 
 
 def _spreads(depth: DepthArray, known: Bool[np.ndarray, "height width"]) -> Float[np.ndarray, " pixels"]:

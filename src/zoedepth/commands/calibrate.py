@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -13,6 +14,7 @@ from rich.table import Table
 
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
+from zoedepth.lock import only_one
 from zoedepth.stored import read_stored, readable, to_json, to_metres
 
 if TYPE_CHECKING:
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from zoedepth.images import DepthArray
 
 EXIT_FAILED = 1
+_WAIT_S = 60.0  # for another command that adds to the same file, which takes milliseconds
 
 _ENOUGH = 3  # photos, to tell the scale of a camera
 _SHOWN = 20  # readings, at most
@@ -123,7 +126,7 @@ def calibrate(
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import load_for_prediction, weights_of
+    from zoedepth.weights.load import find, load_for_prediction, weights_of
 
     earlier = None
     if out is not None:
@@ -139,8 +142,9 @@ def calibrate(
         focal_px=focal_px,
         intrinsics=intrinsics,
     )
+    place = find(model) if Path(model).is_dir() else model  # a training may add a newer checkpoint at any moment
     with download_progress() as progress:
-        network = load_for_prediction(model, device=device, compat=compat, precision=precision, progress=progress)
+        network = load_for_prediction(place, device=device, compat=compat, precision=precision, progress=progress)
     if not network.config.domains:
         raise InputError(f"{model} gives relative depth, which has no metres to calibrate: choose a model of metres")
     predictor = Predictor(
@@ -152,7 +156,7 @@ def calibrate(
         camera=known_camera,
         focal_correction=None if focal_correction == "model" else focal_correction == "yes",
     )
-    weights = weights_of(model, compat=compat, pad=predictor.pad)
+    weights = weights_of(place, compat=compat, pad=predictor.pad)
     result = predictor(photo, domain=domain)
     if not readings and sparse is None:
         places = places_to_measure(result.depth, result.valid)
@@ -169,16 +173,22 @@ def calibrate(
     ):
         raise InputError(f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}")
     name = readable(os.path.abspath(photo))
-    if earlier is not None and any(reading.photo == name for reading in earlier.readings):
-        Console(stderr=True, highlight=False).print(
-            f"note: the readings of {photo} that {out} had are replaced", soft_wrap=True, markup=False
+    with ExitStack() as stack:
+        if out is not None and earlier is not None:
+            # Another command may have added readings while this one predicted.
+            work, advice = f"adds readings to {out}", "type this again when it is done"
+            stack.enter_context(only_one(out, work=work, advice=advice, wait_s=_WAIT_S))
+            earlier = read_calibration(out)
+        if earlier is not None and any(reading.photo == name for reading in earlier.readings):
+            Console(stderr=True, highlight=False).print(
+                f"note: the readings of {photo} that {out} had are replaced", soft_wrap=True, markup=False
+            )
+        found = result.find_calibration(
+            readings if sparse is None else sparse, along_ray=along_ray, form=form, photo=name, earlier=earlier
         )
-    found = result.find_calibration(
-        readings if sparse is None else sparse, along_ray=along_ray, form=form, photo=name, earlier=earlier
-    )
-    found = replace(found, network=model, weights=weights)
-    if out is not None:
-        write_calibration(out, found)
+        found = replace(found, network=model, weights=weights)
+        if out is not None:
+            write_calibration(out, found)
     if json_:
         print(to_json(found.to_json()))
     else:

@@ -1,6 +1,6 @@
 """The camera of photos as the command line says it, for all commands that predict photos."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from zoedepth.claims import BinaryFile
@@ -11,9 +11,12 @@ from zoedepth.geometry.choice import CameraChoice
 from zoedepth.geometry.lens import Lens, camera_of
 from zoedepth.images import read_image
 
+Photo = Path | BinaryFile | Callable[[], Path | BinaryFile]
+"""A photo, or a function that opens it when it is needed."""
+
 
 def chosen_camera(
-    photos: Iterable[Path | BinaryFile],
+    photos: Iterable[Photo],
     *,
     camera: str | None,
     fov_x: float | None,
@@ -27,7 +30,8 @@ def chosen_camera(
     What is in pixels and has no size of its own is of photos of the size of the first that can be read.
 
     Args:
-        photos: the photos, in their order, as files or open files; those that are needed are read.
+        photos: the photos, in their order: files, open files, or functions that return one; those that are needed are
+            read.
         camera: --camera: "exif", "none" or a file; None is "exif".
         fov_x: --fov-x, degrees.
         fov_y: --fov-y, degrees.
@@ -64,12 +68,12 @@ def chosen_camera(
     return "exif"
 
 
-def _size_of_first(photos: Iterable[Path | BinaryFile]) -> tuple[int, int]:
+def _size_of_first(photos: Iterable[Photo]) -> tuple[int, int]:
     """Return the (height, width) of the first photo that can be read."""
     failures = []
     for photo in photos:
         try:
-            height, width, _ = read_image(photo, photo=False).shape
+            height, width, _ = read_image(photo() if callable(photo) else photo, photo=False).shape
         except InputError as error:
             failures.append(error)
         else:

@@ -138,7 +138,8 @@ def evaluate(
         name: open_evaluation_set(source, name=name, protocol=chosen[name], changes=changes, root=root)
         for name, source in given.items()
     }
-    sources = _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device, fast=fast, tell=note)
+    sources = _sources(model, folders, trivial, sets, camera=camera, compat=compat, device=device, fast=fast, root=root,
+                       tell=note)  # fmt: skip
     if mri is not None and mri not in sources:
         raise InputError(f"--mri is {mri!r}, which is not scored: give one of {', '.join(sources)}")
     found = score_all(
@@ -237,6 +238,7 @@ def _sources(
     compat: Sequence[str],
     device: str,
     fast: bool,
+    root: Path | None,
     tell: Callable[[str], None],
 ) -> "dict[str, PredictionSource]":
     """Open everything that is to be scored, by its label."""
@@ -274,7 +276,7 @@ def _sources(
                         f"--trivial is fitted under the protocol of a domain, and {name} has another one for {domain} "
                         "than a data set before it: score them one after the other"
                     )
-        found |= trivial_sources(trivial, by_domain)
+        found |= trivial_sources(trivial, by_domain, root=root)
     return found
 
 

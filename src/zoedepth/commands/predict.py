@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from io import BytesIO
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -247,7 +246,7 @@ def predict(
         # All shards of a job take the size of one photo, whichever of them has it.
         sized = first if part.count == 1 else listing.firsts
         known_camera = chosen_camera(
-            (photo.path if photo.origin is None else BytesIO(photo.origin.read()) for photo in sized),
+            [photo.opened for photo in sized],
             camera=camera,
             fov_x=fov_x,
             fov_y=fov_y,
@@ -269,12 +268,14 @@ def predict(
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
-        from zoedepth.weights.load import weights_of
+        from zoedepth.weights.load import find, weights_of
 
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
+            # A training may add a newer checkpoint to its folder at any moment.
+            weights_at = find(model) if Path(model).is_dir() else model
             network, numbers, device = _load(
-                model,
+                weights_at,
                 fast=fast,
                 relative=relative,
                 compat=compat,
@@ -300,7 +301,7 @@ def predict(
             if domain is not None:
                 predictor.domain_index(domain)
             if corrections is not None:
-                wanted = replace(wanted, weights=weights_of(model, compat=compat, pad=predictor.pad))
+                wanted = replace(wanted, weights=weights_of(weights_at, compat=compat, pad=predictor.pad))
             settings = job_settings(wanted, predictor, weights=network_fingerprint(network))
             tally = Tally(total=len(first) if all_known else None)
             with place.opened() as manifest:
@@ -344,7 +345,7 @@ def predict(
 
 
 def _load(
-    model: str,
+    model: str | Path,
     *,
     fast: bool,
     relative: bool,

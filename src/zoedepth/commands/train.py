@@ -1,7 +1,6 @@
 """``zoedepth train RECIPE --data NAME=SOURCE ... --out DIR``, and ``zoedepth train finetune``."""
 
 import argparse
-import os
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
@@ -95,16 +94,18 @@ def train(arguments: Sequence[str]) -> int:
         from zoedepth.train.metric import train_metric as train_stage
     _check_router(options.config)
     check_writable(options.out, option="--out")
-    print(
-        train_stage(
-            _with_root(_with_focal(options.config, config), options.root),
-            data=named_sources(options.data),
-            out=options.out,
-            init=options.init,
-            devices=options.devices,
-            n_nodes=options.nodes,
-        )
+    from zoedepth.train.processes import is_first
+
+    checkpoint = train_stage(
+        _with_root(_with_focal(options.config, config), options.root),
+        data=named_sources(options.data),
+        out=options.out,
+        init=options.init,
+        devices=options.devices,
+        n_nodes=options.nodes,
     )
+    if is_first():
+        print(checkpoint)
     return 0
 
 
@@ -184,7 +185,8 @@ def finetune(
         data: SOURCE or NAME=SOURCE: lists, folders, shards, hf:OWNER/NAME (docs/your-data.md); several are mixed.
         out: folder for model.safetensors, its card README.md, metrics.json, data.jpg, and the run itself.
         init: model to start from: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id.
-        domain: scene type of photos whose data does not name one: indoor, outdoor or a name of your own.
+        domain: scene type of the photos, indoor, outdoor or a name of your own: where the data names none, and in place
+            of that of dataset.json.
         depth_scale: stored value of one metre in PNGs and other whole numbers, for data that does not name one.
         root: the folder that the paths of the lists in --data are relative to; without it that of each list.
         check: look at the data first. quick: headers, sizes and ends of all files, and the depth of up to 200 pairs.
@@ -201,7 +203,7 @@ def finetune(
     """
     from zoedepth.train import finetune as finetuning
     from zoedepth.train.log import Ticker, say
-    from zoedepth.train.processes import require_libraries
+    from zoedepth.train.processes import is_first, require_libraries
 
     require_libraries()  # said before the data is looked at
     console = Console(stderr=True, highlight=False)
@@ -215,7 +217,7 @@ def finetune(
     for line in _described(plan, out):
         console.print(line, soft_wrap=True, markup=False)
     measured = finetuning.finetune(plan, out=out, devices=devices, n_nodes=nodes)
-    if int(os.environ.get("RANK", "0")):
+    if not is_first():
         return 0
     table = Table("held out", "pairs", "model", "REL", "RMSE (m)", "delta1", title="Before and after")
     for name, pair in measured.items():

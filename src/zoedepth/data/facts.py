@@ -50,6 +50,27 @@ class Facts:
         )
 
 
+def asked_over(asked: Facts, said: Facts, folder: str | Path) -> Facts:
+    """Return what is asked for a data set, and what its ``dataset.json`` says where nothing is asked.
+
+    A domain or a farthest depth that is asked replaces the one of the file. The unit of the depth is no choice.
+
+    Args:
+        asked: options, and fields of a configuration.
+        said: the facts of ``dataset.json``.
+        folder: where the file is, for the message.
+
+    Raises:
+        InputError: both say another depth_scale.
+    """
+    if asked.depth_scale and said.depth_scale and asked.depth_scale != said.depth_scale:
+        raise InputError(
+            f"{Path(folder, DEFAULTS_FILE)} says depth_scale {said.depth_scale:g}, and {asked.depth_scale:g} is asked "
+            "for: leave out the option, which is for data that says none, or correct the file"
+        )
+    return asked.over(said)
+
+
 def parse_facts(row: Mapping[str, object], where: str) -> Facts:
     """Return the facts in a row: depth_scale, domain, max_depth, and fx, fy, cx, cy, or cam_in with these four.
 

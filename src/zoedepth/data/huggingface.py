@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from torch.utils.data import Dataset
 
-from zoedepth.data.facts import Facts, read_defaults
+from zoedepth.data.facts import Facts, asked_over, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.errors import InputError, MissingExtraError
@@ -121,8 +121,9 @@ class HuggingFaceDataset(Dataset[Sample]):
             raise InputError(f"{name} has no rows")
         self.name = name
         defaults = read_defaults(folder) if folder else Facts()
-        self._facts = replace(Facts(None, domain, max_depth=max_depth).over(defaults), depth_scale=depth_scale)
-        self._default_scale = default_scale or defaults.depth_scale
+        asked = asked_over(Facts(default_scale, domain, max_depth=max_depth), defaults, folder or "")
+        self._facts = replace(asked, depth_scale=depth_scale)
+        self._default_scale = asked.depth_scale
         self.max_depth = self._facts.max_depth
         """Metres from which on depth is unknown, where this is said."""
         if not self._facts.domain:

@@ -72,11 +72,11 @@ def check_unit(pair: Pair, defaults: Facts, where: str) -> None:
     """Check that the list, the defaults or the file itself says the unit of a PNG or PGM.
 
     Raises:
-        InputError: none of them does.
+        InputError: none of them does. A file that is missing is no reason.
     """
     if pair.target is None or pair.scale or defaults.depth_scale or pair.target.suffix.lower() not in (".png", ".pgm"):
         return
-    if declared_scale(pair.target) is None:
+    if pair.target.is_file() and declared_scale(pair.target) is None:  # a missing file is told elsewhere
         raise InputError(
             f"{where}: nobody says the depth_scale of {pair.target.name}, its stored value of one metre. Give it in "
             f'the list, or for all files by {{"depth_scale": 1000}} in {DEFAULTS_FILE} beside the data'

@@ -25,7 +25,7 @@ from pathlib import Path
 
 from torch.utils.data import Dataset
 
-from zoedepth.data.facts import Facts, camera_of_photo, read_defaults
+from zoedepth.data.facts import Facts, asked_over, camera_of_photo, read_defaults
 from zoedepth.data.folders import find_layout, find_pairs
 from zoedepth.data.lists import Pair, read_list
 from zoedepth.data.names import other_capitals
@@ -83,7 +83,7 @@ class PairDataset(Dataset[Sample]):
     ) -> None:
         path = Path(path)
         folder = path if path.is_dir() else path.parent
-        defaults = Facts(depth_scale, domain, max_depth=max_depth).over(read_defaults(folder))
+        defaults = asked_over(Facts(depth_scale, domain, max_depth=max_depth), read_defaults(folder), folder)
         self._default_scale = defaults.depth_scale
         self.max_depth = defaults.max_depth
         """Metres from which on depth is unknown, where this is said for all pairs."""
@@ -134,10 +134,14 @@ class PairDataset(Dataset[Sample]):
             facts=Facts(pair.scale, pair.domain, camera, pair.max_depth or self.max_depth),
             default_scale=self._default_scale,
             mask=None if pair.mask is None else read_mask(pair.mask),
-            name=_name(pair.image, self._root),
+            name=self.name_of(index),
             orientation=orientation,
             files=(pair.image, pair.target),
         )
+
+    def name_of(self, index: int) -> str:
+        """Return the name of a sample: its photo's path below the root."""
+        return _name(self.pairs[index].image, self._root)
 
     @property
     def domains(self) -> list[str]:

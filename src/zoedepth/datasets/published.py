@@ -187,9 +187,13 @@ class PublishedDataset(Dataset[Sample], ABC):
             mask=torch.from_numpy(np.ascontiguousarray(known))[None],
             kind=self.about.kind,
             domain=self.domain_of(pair),
-            name=pair.image.relative_to(self.root).as_posix(),
+            name=self.name_of(index),
             camera=camera,
         )
+
+    def name_of(self, index: int) -> str:
+        """Return the name of a sample: its photo's path below the root."""
+        return self.pairs[index].image.relative_to(self.root).as_posix()
 
     @property
     def domains(self) -> list[str]:

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from datetime import timedelta
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from zoedepth.checking import doubt_depth
+from zoedepth.data.pairs import PairDataset
+from zoedepth.datasets.published import PublishedDataset
 from zoedepth.errors import InputError
 from zoedepth.evaluation.comparison import compared
 from zoedepth.evaluation.dataset_scores import Processes, score_dataset, score_files
@@ -145,8 +148,11 @@ def evaluate(
         for odd in doubt_depth(each.dataset).named:
             note(f"{name}: {odd}")
     for source in sources.values():
+        if not isinstance(source, FolderSource):
+            continue
+        _check_own_maps(source, data)
         for each in data.values():
-            if isinstance(source, FolderSource) and (odd := _doubt(source, each)):
+            if odd := _doubt(source, each):
                 note(odd)
     for name, each in data.items():
         shared = set(range(len(each.dataset)))  # photos that all sources have a score of
@@ -238,7 +244,8 @@ def _meet_others(folder: Path | None) -> Processes:
         import torch.distributed as distributed
 
         if not distributed.is_initialized():
-            distributed.init_process_group("gloo")
+            # Whoever has a slower machine may need hours more for its share than the others, who wait.
+            distributed.init_process_group("gloo", timeout=timedelta(days=30))
     return processes
 
 
@@ -264,6 +271,27 @@ def _open_scores(
         for name, each in data.items()
         for label, source in sources.items()
     }
+
+
+def _check_own_maps(source: FolderSource, data: Mapping[str, EvaluationSet]) -> None:
+    """Refuse a folder of depth maps in which photos of two data sets would have one map.
+
+    Two photos of one data set are refused one by one, when they are read.
+    """
+    owners: dict[Path, tuple[str, Path]] = {}  # the first photo of each map
+    for name, each in data.items():
+        if not isinstance(each.dataset, PairDataset | PublishedDataset):
+            continue  # its photos are no files
+        for index, pair in enumerate(each.dataset.pairs):
+            path = source.find(each.dataset.name_of(index))
+            if path is None:
+                continue
+            other, photo = owners.setdefault(path, (name, pair.image))
+            if other != name and photo != pair.image:
+                raise InputError(
+                    f"{path} would be the depth of two photos, {photo} of {other} and {pair.image} of {name}: give "
+                    "each data set a folder of predictions, and score them one after the other"
+                )
 
 
 def _doubt(source: FolderSource, data: EvaluationSet) -> str | None:

@@ -442,17 +442,20 @@ TRIVIAL = ("best constant", "mean depth map")
 """Labels of the sources that need no photo."""
 
 
-def trivial_sources(training: Sequence[Path], protocols: Mapping[str, Protocol]) -> dict[str, PredictionSource]:
+def trivial_sources(
+    training: Sequence[Path], protocols: Mapping[str, Protocol], *, root: Path | None = None
+) -> dict[str, PredictionSource]:
     """Make the two sources that need no photo from training data, with the labels ``TRIVIAL``.
 
     Args:
         training: lists of photos with depth; see ``zoedepth.opening.open_dataset``. Disparity in them is passed over.
         protocols: domain → protocol; samples of other domains are passed over.
+        root: the folder that the paths of lists are relative to; None takes that of each list.
 
     Raises:
         InputError: there is no such list, or a domain has no known depth.
     """
-    datasets = [open_dataset(path, split="train") for path in training]
+    datasets = [open_dataset(path, split="train", root=root) for path in training]
     about = {"training": [str(path) for path in training]}
     constant = ConstantSource(_training_samples(datasets, protocols), protocols, about=about)
     mean_map = MeanMapSource(_training_samples(datasets, protocols), protocols, about=about)

@@ -121,11 +121,28 @@ def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
         _check_plausible(camera, size_is_known=stated.size is not None)
         if len(set(found)) == 1:
             return camera_of(camera, size)
-        others = (each for each in found if each.size is not None and not each.objection)
-        return Cameras(tuple(Camera.of(each.intrinsics, each.size, source=each.source) for each in others if each.size))
+        return _sorted_out(found, path)
     except InputError as error:
         message = str(error)
         raise InputError(message if str(path) in message else f"{path}: {message}") from error
+
+
+def _sorted_out(found: Sequence[_Stated], path: Path) -> Cameras:
+    """Return the cameras of a file, and why some of them cannot be used."""
+    sound, objections = [], []
+    for each in found:
+        if each.size is None:
+            continue
+        camera = Camera.of(each.intrinsics, each.size, source=each.source)
+        try:
+            if each.objection:
+                raise InputError(f"it {each.objection}: {_UNDISTORT}")
+            _check_plausible(camera, size_is_known=True)
+        except InputError as error:
+            objections.append((camera.size, f"{path}: {error}"))
+        else:
+            sound.append(camera)
+    return Cameras(tuple(sound), tuple(objections))
 
 
 def _check_plausible(camera: Camera, *, size_is_known: bool) -> None:

@@ -55,13 +55,17 @@ class Cameras:
     """Several cameras, of which the size of a photo chooses: those of a file of COLMAP, for example."""
 
     cameras: tuple[Camera, ...]
+    objections: tuple[tuple[tuple[int, int], str], ...] = ()
+    """Of cameras that cannot be used: the size of their photos, and the reason, a sentence for people."""
 
     def chosen(self, size: tuple[int, int]) -> Camera:
         """Return the camera that took a photo of ``size`` (height, width).
 
         Raises:
-            InputError: there is none for photos of this size, or several.
+            InputError: there is none for photos of this size, or several, or one that cannot be used.
         """
+        if objections := [reason for of, reason in self.objections if of == size]:
+            raise InputError(objections[0])
         fitting = {camera for camera in self.cameras if camera.size == size}
         if len(fitting) != 1:
             sizes = ", ".join(sorted({f"{camera.size[1]} x {camera.size[0]}" for camera in self.cameras})[:_MOST_NAMED])

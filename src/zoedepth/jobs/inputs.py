@@ -22,7 +22,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO, cast
 
-from zoedepth.batch import Found, Origin, left_out, own_name, targets, walk_photos
+from zoedepth.batch import MAX_HELD, Found, Origin, left_out, own_name, targets, walk_photos
 from zoedepth.data.names import Finder
 from zoedepth.data.tables import SEPARATORS
 from zoedepth.errors import OPTIONAL, InputError, MissingExtraError, no_such
@@ -55,9 +55,6 @@ TARS = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tar.xz")
 
 COLUMNS = ("image", "photo", "path", "file", "filename", "file_name", "image_path", "url", "uri")
 """Names of the column that is taken where none is said, the first that there is."""
-
-MAX_HELD = 1 << 28
-"""Bytes of compressed archives that are held before the first photo is predicted: beyond, no more members are read."""
 
 N_FIRST = 64
 """Inputs that are listed before the work begins: to see whether there are any, and which size their photos have."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar, cast
 
 from zoedepth.errors import OPTIONAL, InputError, MissingExtraError
+from zoedepth.images import check_expansion
 
 MAX_PHOTO = 1 << 29
 """Bytes of a photo that is read into memory, at most."""
@@ -145,10 +146,14 @@ class ZipMember:
         """Return its bytes.
 
         Raises:
-            InputError: it cannot be read: it is damaged, encrypted, or larger than any photo.
+            InputError: it cannot be read: it is damaged, encrypted, larger than any photo, or would unpack to far more
+                than it is large.
         """
         try:
-            with open_zip(self.archive).open(self.member) as file:
+            archive = open_zip(self.archive)
+            member = archive.getinfo(self.member)
+            check_expansion(member.file_size, member.compress_size)
+            with archive.open(member) as file:
                 return _bounded(file.read(MAX_PHOTO + 1))
         except InputError:
             raise

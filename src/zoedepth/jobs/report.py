@@ -104,6 +104,22 @@ def missing_shards(status: list[ShardStatus]) -> list[JobShard]:
     return [shard for count in counts for i in range(count) if (shard := JobShard(i, count)) not in found]
 
 
+_FILES_EACH, _FILES_BESIDE = 4, 100
+"""Files that are open for each shard while they are merged (its lock, manifest and database), and others."""
+
+
+def _allow_files(n: int) -> None:
+    """Raise the number of files that this process may have open, where the system lets it: 1024 are usual."""
+    try:
+        import resource
+    except ModuleNotFoundError:  # Windows has no such limit
+        return
+    now, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = n if most == resource.RLIM_INFINITY else min(n, most)
+    if now != resource.RLIM_INFINITY and now < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, most))
+
+
 def merge_shards(out: str) -> int:
     """Put the manifests of all shards into one, so that a command without ``--shard`` goes on where they were.
 
@@ -124,6 +140,7 @@ def merge_shards(out: str) -> int:
     whole = manifest_name(JobShard())
     if names == [whole]:
         raise InputError(f"{out} has one manifest, {whole}, and no shards to merge")
+    _allow_files(_FILES_EACH * len(names) + _FILES_BESIDE)
     with ExitStack() as stack:
         for name in {*names, whole}:
             stack.enter_context(only_command(folder / name))

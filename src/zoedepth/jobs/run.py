@@ -10,6 +10,7 @@ from zoedepth.batch import Request, in_turn
 from zoedepth.errors import InputError
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Manifest
+from zoedepth.jobs.origins import Held
 from zoedepth.jobs.work import Done, Input, do_photo
 from zoedepth.predict import Predictor
 
@@ -91,11 +92,16 @@ def run_job(
         return done
 
     to_do = missing(inputs, manifest, destination, tally, overwrite=overwrite, tell_done=tell_done)
-    for done in in_turn(work, to_do, workers=workers, stop=lambda: ends[0] if ends else None):
+    for done in in_turn(work, to_do, workers=workers, held=_held, stop=lambda: ends[0] if ends else None):
         tally.count(done)
         yield done
     with writing(manifest):
         manifest.flush()
+
+
+def _held(item: Input | Done) -> int:
+    """Return the bytes that an input holds."""
+    return len(item.origin.content) if isinstance(item, Input) and isinstance(item.origin, Held) else 0
 
 
 @contextmanager

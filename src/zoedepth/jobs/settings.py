@@ -9,7 +9,7 @@ from zoedepth.batch import Request
 from zoedepth.calibration import Calibration
 from zoedepth.predict import Predictor
 from zoedepth.weights.exported import ExportedModel
-from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
+from zoedepth.weights.fingerprint import content_fingerprint, fingerprint
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -23,7 +23,7 @@ def network_fingerprint(network: "DepthModel | ExportedModel") -> str:
     The same weights have another one in another runtime, which rounds otherwise.
     """
     if isinstance(network, ExportedModel):
-        return weights_fingerprint(network.path)
+        return content_fingerprint(network.path)
     import torch
 
     tensors = network.state_dict()

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from zoedepth.batch import Origin, Outcome, Photo, Request, files_of, predict_maps, write_drafts
+from zoedepth.batch import NamedBytes, Origin, Outcome, Photo, Request, files_of, predict_maps, write_drafts
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Entry
@@ -33,6 +33,19 @@ class Input:
     """A value that changes with the content of a photo that is no file; None where its store has none."""
     own: tuple[str, ...] = ()
     """Names of files that the manifest knows to be this photo's, from an earlier command."""
+
+    def opened(self) -> Path | NamedBytes:
+        """Return the photo for a reader: its path, or all of its bytes.
+
+        Raises:
+            InputError: it is no file, and cannot be read; the message names it.
+        """
+        if self.origin is None:
+            return self.path
+        try:
+            return NamedBytes(self.origin.read(), self.name)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from error
 
     def state(self) -> tuple[int | None, int | str | None]:
         """Return bytes and version: of a file its size and the time of its last change, as they are now."""

@@ -83,6 +83,10 @@ def read_result(out: Path, unit: Unit, scored: Mapping[str, Scored]) -> Result |
     return Result(scores, kept["failure"], kept["parameters"])
 
 
+class _BaseError(TrainingError):
+    """Error of the pre-training that a row starts from."""
+
+
 def run_unit(
     out: Path,
     unit: Unit,
@@ -103,7 +107,7 @@ def run_unit(
         track: see ``zoedepth.evaluation.evaluate.evaluate``.
 
     Returns:
-        None if the unit cannot be trained.
+        None if the unit cannot be trained: data is missing, or the pre-training that it starts from did not converge.
 
     Raises:
         InputError: the data cannot be read, or ``out`` holds something else.
@@ -117,6 +121,9 @@ def run_unit(
             return found
         try:
             model = _trained(out, training, say)
+        except _BaseError as error:  # the row was not tried, and is tried again by the next command
+            say(str(error))
+            return None
         except TrainingError as error:
             _write(out, training, {}, failure=str(error))
             say(f"{training.name}: {FAILED}: {error}")
@@ -155,7 +162,12 @@ def _trained(out: Path, training: Training, say: Callable[[str], None]) -> Path:
     start = training.start
     if isinstance(start, Training):
         with _alone(out, start):
-            init = str(_trained(out, start, say))
+            try:
+                init = str(_trained(out, start, say))
+            except TrainingError as error:
+                raise _BaseError(
+                    f"{start.name}, seed {start.config.seed}, from which {training.name} starts: {FAILED}: {error}"
+                ) from error
     else:
         init = start
     folder = _kept(out / "runs", training)

@@ -30,7 +30,7 @@ from zoedepth.runtimes.runtime import BASE, RUNTIMES, Library, Runtime
 from zoedepth.runtimes.worker import largest_rel
 from zoedepth.threads import cpu_count, threads
 from zoedepth.weights.exported import ExportedModel, is_exported
-from zoedepth.weights.load import load_model
+from zoedepth.weights.load import load_for_prediction
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -90,7 +90,7 @@ def load_fast(
     """
     say = tell or _log.warning
     if is_exported(model):
-        network = load_model(model, compat=compat, streams=streams)
+        network = load_for_prediction(model, device=device, compat=compat, streams=streams)
         assert isinstance(network, ExportedModel)
         return Fast(
             network, f"{network.runtime}, {network.precision}", "the file is of this runtime", "float32", device
@@ -103,7 +103,8 @@ def load_fast(
     if on_other and machine.accelerator is None:
         return _base(source, device, "the device was asked for")
     choice = read_choice(source.weights, machine, versions())
-    if choice is None:
+    # Exports may be deleted at any time. All but int8, which is calibrated on photos, are made again.
+    if choice is None or (RUNTIMES[choice.runtime].numbers == "int8" and not Path(choice.file).is_file()):
         choice, lasting = decide(source, machine, tell=say)
         if lasting:
             try:

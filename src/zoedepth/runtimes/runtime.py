@@ -89,7 +89,8 @@ class Runtime:
         if self.suffix is None:
             return load_network(model, compat=compat)
         precision: Precision = "bfloat16" if self.numbers == "bfloat16" else "float32"
-        return load_exported(model, precision=precision, streams=streams, keep=keep)
+        # None of these rows is of a GPU, even where ONNX Runtime could take one.
+        return load_exported(model, precision=precision, streams=streams, keep=keep, device="cpu")
 
 
 def _absent(module: str) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Int64
 from torch.utils.data import Dataset
 
-from zoedepth.data.facts import Facts, parse_facts, read_defaults
+from zoedepth.data.facts import Facts, asked_over, parse_facts, read_defaults
 from zoedepth.data.sample import Sample, Target
 from zoedepth.data.targets import to_sample
 from zoedepth.download import cache_home, download, sha256_of, version_of
@@ -86,7 +86,7 @@ class ShardDataset(Dataset[Sample]):
 
     def _open_path(self, path: Path) -> None:
         self.folder = path if path.is_dir() else path.parent
-        self._defaults = self._defaults.over(read_defaults(self.folder))
+        self._defaults = asked_over(self._defaults, read_defaults(self.folder), self.folder)
         file = path / INDEX_FILE if path.is_dir() and (path / INDEX_FILE).is_file() else path
         if file.is_dir() or file.suffix == ".tar":
             if not (shards := find_shards(file) if file.is_dir() else [file]):

@@ -23,11 +23,12 @@ class SourceConfig:
     weight: int = 1
     """Number of turns that it has in a round of the mixture."""
     domain: str | None = None
-    """Scene type of its photos, for data that does not name one."""
+    """Scene type of its photos, unless a list or a sample names another; it replaces that of ``dataset.json``."""
     depth_scale: float | None = None
     """Stored value of one metre, for whole numbers of which the data does not name one."""
     max_depth: float | None = None
-    """Metres from which on depth is unknown, for data that does not name them."""
+    """Metres from which on depth is unknown, unless a list or a sample names others; it replaces those of
+    ``dataset.json``."""
     min_depth: float | None = None
     """Metres up to which depth is not trained on, where that is farther than the domain's nearest depth (BTS,
     NeWCRFs). It is unknown then, as it is at the domain's bounds."""
@@ -58,7 +59,7 @@ class SourceConfig:
     zoom_probability: float = 1.0
     """fit only: share of the samples that are zoomed in on."""
     kitti_crop: bool = False
-    """First cut the photo to its bottom centre, 352x1216."""
+    """First cut photos of the size of KITTI's frames to their bottom centre, 352x1216; others stay."""
     rotate_degrees: float = 1.0
     """Largest rotation, in either direction."""
     color_probability: float = 0.5
@@ -266,7 +267,8 @@ class FinetuneOptions:
     init: str = "zoed-lite"
     """Model to start from: a name of ``zoedepth models``, a file or folder of weights, a Hugging Face id."""
     domain: str | None = None
-    """Scene type of photos whose data does not name one: indoor, outdoor or a name of your own."""
+    """Scene type of the photos, indoor, outdoor or a name of your own: where the data names none, and in place of that
+    of ``dataset.json``."""
     depth_scale: float | None = None
     """Stored value of one metre in PNGs and other whole numbers, for data that does not name one."""
     check: Check = "quick"

@@ -18,6 +18,7 @@ from zoedepth.evaluation.dataset_scores import score_dataset
 from zoedepth.evaluation.predictions import ModelSource
 from zoedepth.evaluation.protocols import protocol_of
 from zoedepth.evaluation.summary import Summary, summarise
+from zoedepth.forward.tensors import on_device
 from zoedepth.images import atomic_path, write_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.model.zoedepth import ZoeDepth
@@ -328,7 +329,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     held_out = Subset(dataset, range(n - plan.config.held_out(name), n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
-    tested = ModelSource(load_network(model), camera="data" if knows else "none")
+    tested = ModelSource(on_device(load_network(model), "auto"), camera="data" if knows else "none")
     with torch.no_grad():
         results = score_dataset(tested, held_out, protocols, workers=tested.workers)
     return summarise(

@@ -42,10 +42,14 @@ def start_state(init: str | None, *, start: str | None = None) -> list[str | Non
 
 
 def same_start(first: object, second: object) -> bool:
-    """Return True if two states of starting weights agree. Weights that are gone by now agree by their name."""
+    """Return True if two states of starting weights agree: by their content, whatever path leads to them.
+
+    Weights that are gone by now agree by their name.
+    """
     if not (isinstance(first, list) and isinstance(second, list)) or len(first) != len(second):
         return first == second
-    return all(a == b or (i > 0 and None in (a, b)) for i, (a, b) in enumerate(zip(first, second, strict=True)))
+    (name, content_), (other_name, other_content) = (state[:2] for state in (first, second))
+    return content_ == other_content if content_ and other_content else name == other_name
 
 
 def _weights(file: Path) -> str:

@@ -16,7 +16,7 @@ from zoedepth.train.config import SourceConfig, TrainConfig
 from zoedepth.train.processes import launch_fabric, total
 from zoedepth.train.report import report
 from zoedepth.train.run import Run, last_checkpoint, set_up
-from zoedepth.train.step import add_means, backward, begin_step, take_step
+from zoedepth.train.step import backward, begin_step, means, take_step
 
 
 def train_metric(
@@ -50,7 +50,7 @@ def train_metric(
     with set_up(config, fabric, part=lambda model: model, data=data, out=out, init=init) as run:
         while run.state.step < config.steps:
             begin_step(run)
-            numbers: dict[str, float] = {}
+            numbers_of: list[Mapping[str, float]] = []
             batches: list[Batch] = []
             for i in range(config.accumulate):
                 batch = next(run.batches)
@@ -62,20 +62,22 @@ def train_metric(
                 loss = torch.stack(list(terms.values())).sum()
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
-                add_means(numbers, _named(terms, batch, run), config.accumulate)
+                numbers_of.append(_numbers(terms, batch, run))
                 batches.append(batch)
             # Step.
-            numbers["gradient_norm"] = take_step(run, batches)
+            numbers = {**means(numbers_of), "gradient_norm": take_step(run, batches)}
             # Report.
             report(run, numbers, batches[-1])
         return last_checkpoint(run)
 
 
-def _named(terms: Mapping[str, Tensor], batch: Batch, run: Run) -> Mapping[str, Tensor]:
-    """Name the terms after the batch's data set where each has batches of its own: they say nothing of the others."""
-    if run.turns == 1:
-        return terms
-    return {f"{name}/{run.sources[int(batch.source[0])].name}": value for name, value in terms.items()}
+def _numbers(terms: Mapping[str, Tensor], batch: Batch, run: Run) -> dict[str, float]:
+    """Return what the log says of a batch: its terms.
+
+    They have the name of the batch's data set where each has batches of its own, and they say nothing of the others.
+    """
+    of = "" if run.turns == 1 else f"/{run.sources[int(batch.source[0])].name}"
+    return {f"{name}{of}": value.item() for name, value in terms.items()}
 
 
 def metric_losses(

@@ -87,6 +87,11 @@ def total(x: Tensor) -> Tensor:
     return function.apply(x) if several_processes() else x
 
 
+def is_first() -> bool:
+    """Return True in the first of the processes of a training, and where there is only one."""
+    return not several_processes() or distributed.get_rank() == 0
+
+
 def anywhere(noted: bool, device: torch.device) -> bool:
     """Return True if any of the processes has noted something: then all of them have to act on it, after this step."""
     if not several_processes():

@@ -18,7 +18,7 @@ from zoedepth.train.config import TrainConfig
 from zoedepth.train.processes import launch_fabric, raw_gradients, several_processes, total
 from zoedepth.train.report import report
 from zoedepth.train.run import Run, last_checkpoint, set_up
-from zoedepth.train.step import add_means, backward, begin_step, take_step
+from zoedepth.train.step import backward, begin_step, means, take_step
 
 
 class RelativeModel(nn.Module):
@@ -64,7 +64,7 @@ def train_relative(
     with set_up(config, fabric, part=RelativeModel, data=data, out=out, init=init) as run:
         while run.state.step < config.steps:
             begin_step(run)
-            numbers: dict[str, float] = {}
+            numbers_of: list[Mapping[str, float]] = []
             batches: list[Batch] = []
             for i in range(config.accumulate):
                 batch = next(run.batches)
@@ -76,10 +76,10 @@ def train_relative(
                 loss = (weights * tasks).sum()
                 # Backward.
                 backward(run, loss, batch, complete=i == config.accumulate - 1)
-                add_means(numbers, _numbers(tasks, n_images, weights, run), config.accumulate)
+                numbers_of.append(_numbers(tasks, n_images, weights, run))
                 batches.append(batch)
             # Step.
-            numbers["gradient_norm"] = take_step(run, batches)
+            numbers = {**means(numbers_of), "gradient_norm": take_step(run, batches)}
             # Report.
             report(run, numbers, batches[-1])
         return last_checkpoint(run)

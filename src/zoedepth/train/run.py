@@ -21,9 +21,10 @@ from zoedepth.train.identity import data_state, start_state
 from zoedepth.train.interruption import Interruption
 from zoedepth.train.log import Log, Ticker, check_log, say
 from zoedepth.train.optim import build_optimizer
+from zoedepth.train.processes import resolve
 from zoedepth.train.sources import load_sources
 from zoedepth.train.start import start_from
-from zoedepth.train.state import TrainState, averaged, check_same, checkpoints, damaged
+from zoedepth.train.state import TrainState, averaged, check_same, checkpoints, damaged, precision_of
 from zoedepth.train.tolerant import Tolerant
 from zoedepth.weights.checkpoint import read_checkpoint
 from zoedepth.weights.load import find
@@ -105,6 +106,7 @@ def set_up(
     identity = identity_of({source.name: samples.samples for source, samples in training}, data, init, start=start)
     if finished:
         check_same(finished[-1], config, identity)
+        before = precision_of(finished[-1])
         model.provenance = _provenance_of(finished[-1])
     else:
         seen = {f"{source.name} ({len(tolerant)} pairs)": licence_of(tolerant.samples) for source, tolerant in training}
@@ -133,6 +135,11 @@ def set_up(
         tolerant = tuple(samples for _, samples in training)
         for problem in (problem for samples in tolerant for problem in samples.problems.values()):
             log.say(f"skipped: {problem}")
+        if finished and before not in (None, resolve(config.precision)):
+            log.say(
+                f"warning: {before} was the precision until here, and this machine takes {resolve(config.precision)}: "
+                "the result is not that of one machine. Give --config.precision from the first command on"
+            )
         for samples in tolerant:
             for doubt in samples.doubts:
                 log.say(f"{samples.name}: warning: {doubt}")

@@ -20,6 +20,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.interface import DepthModel
 from zoedepth.train.config import TrainConfig
 from zoedepth.train.identity import same_start
+from zoedepth.train.processes import resolve
 from zoedepth.weights.save import save_model
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ class TrainState:
             },
             part / "train.pt",
         )
-        meta = {"step": self.step, "config": to_dict(config), **identity}
+        meta = {"step": self.step, "config": to_dict(config), "precision": resolve(config.precision), **identity}
         (part / "meta.json").write_text(json.dumps(meta, indent=2), encoding="utf-8")
         for path in part.iterdir():  # on the disk before the rename: after a power cut the older checkpoint is whole
             with path.open("rb") as file:
@@ -223,6 +224,14 @@ def check_same(
             f"{checkpoint.parent} has {kept}, whose values of {differing} differ from this one's{why}. Use the same "
             "values, or another --out"
         )
+
+
+def precision_of(checkpoint: Path) -> str | None:
+    """Return the precision that a checkpoint was computed in, where its configuration leaves it to the machine.
+
+    None where an earlier version wrote it.
+    """
+    return json.loads((checkpoint / "meta.json").read_text(encoding="utf-8")).get("precision")
 
 
 def damaged(checkpoint: Path, error: Exception) -> InputError:

@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import cast
 
-import torch
 from torch import Tensor, nn
 
 from zoedepth.data.sample import Batch
@@ -70,11 +69,15 @@ def take_step(run: Run, batches: Sequence[Batch]) -> float:
     return norm
 
 
-def add_means(numbers: dict[str, float], terms: Mapping[str, float | Tensor], n_batches: int) -> None:
-    """Add the numbers of one of ``n_batches`` batches to the means of the step, in place."""
-    for name, value in terms.items():
-        value = value.item() if isinstance(value, torch.Tensor) else value
-        numbers[name] = numbers.get(name, 0.0) + value / n_batches
+def means(terms: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the means over the batches of a step, of each number over the batches that have it.
+
+    A batch has no number of a data set of which it has no image.
+    """
+    found: dict[str, list[float]] = {}
+    for name, value in (item for batch in terms for item in batch.items()):
+        found.setdefault(name, []).append(value)
+    return {name: sum(values) / len(values) for name, values in found.items()}
 
 
 def freeze_batch_norm(model: nn.Module) -> None:

@@ -155,9 +155,9 @@ def _who(config: AnyModelConfig) -> str:
 
 def _architecture(config: AnyModelConfig) -> str:
     height, width = config.size
-    size = (
-        "photos are resized near it, their aspect ratio kept" if config.keep_aspect_ratio else "the only one it takes"
-    )
+    size = "photos are resized near it, their aspect ratio kept"
+    if not config.keep_aspect_ratio:
+        size = "the only one it takes" if config.one_size else "photos are squeezed to it"
     lines = [
         f"- Encoder: `{config.encoder_name}` (timm).",
         f"- Input: RGB, trained at {height} x {width} pixels (height x width): {size}.",

@@ -51,6 +51,8 @@ class Checkpoint(NamedTuple):
     """Function from our name of a weight to the file's, for messages."""
     provenance: Provenance = Provenance()
     """Licence, training data and measured numbers, where the file, its folder or the list of releases tells them."""
+    says_config: bool = False
+    """True where a file whose layout has no place for a config holds ours all the same: one that was written here."""
 
 
 def read_checkpoint(path: str | Path) -> Checkpoint:
@@ -114,7 +116,8 @@ def _recognise(weights: dict[str, Tensor], texts: Mapping[str, str], folder: Pat
             "huggingface", lambda: huggingface.read(weights, config, layout=layout, preprocessor=preprocessor)
         )
     if original.is_original(weights):
-        return _translated("original", lambda: original.read(weights))
+        found = _translated("original", lambda: original.read(weights))
+        return found if "config" not in texts else _as_said(found, texts["config"])
     for layout, (is_theirs, read) in _BASELINES.items():
         if is_theirs(weights):
             return _translated(layout, lambda read=read: read(weights))
@@ -150,6 +153,15 @@ _BASELINES = {
 def _translated(layout: str, read: Callable[[], tuple[AnyModelConfig, dict[str, Tensor], Table]]) -> Checkpoint:
     config, weights, table = read()
     return Checkpoint(config, weights, layout, lambda name: "/".join(table.theirs(name)) or name)
+
+
+def _as_said(found: Checkpoint, config: str) -> Checkpoint:
+    """Return a checkpoint in the original's layout with the config that was written beside its weights.
+
+    Shapes do not tell its domains, their ranges and cameras, and the size.
+    """
+    said = model_config_from_dict(parse_json(config, "the config beside its weights"))
+    return found._replace(config=said, says_config=True)
 
 
 def _json_beside(folder: Path, name: str, key: str) -> dict | None:
@@ -192,7 +204,9 @@ def write_checkpoint(
     if to == "original":
         theirs = original.write(_zoedepth(config, to), weights)
         with atomic_path(path) as part:
-            torch.save({"model": theirs, "optimizer": None, "epoch": 0, "about": provenance.to_texts()}, part)
+            # Only this package reads what is "about" the weights.
+            about = {"config": json.dumps(to_dict(config)), **provenance.to_texts()}
+            torch.save({"model": theirs, "optimizer": None, "epoch": 0, "about": about}, part)
         return path
     if to == "zoedepth" and path.suffix == ".safetensors":
         with atomic_path(path) as part:

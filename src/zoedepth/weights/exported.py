@@ -122,8 +122,10 @@ class ExportedModel(ABC):
         """Compute the depth of a batch, see ``DepthModel.forward``. Outputs that nobody asks for cost nothing.
 
         Raises:
-            InputError: wrong shape or size, or bins are asked for, which exported files do not give.
+            InputError: wrong shape or size, or bins or gradients are asked for, which exported files do not give.
         """
+        if pixels.requires_grad:
+            raise InputError("an exported model passes no gradients: load the model that it was exported from")
         if return_bins:
             raise InputError("an exported model gives no bins: load the model that it was exported from")
         import torch

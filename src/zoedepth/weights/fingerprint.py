@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from zoedepth.weights.hub import CONFIG, PREPROCESSOR, WEIGHTS
+from zoedepth.weights.releases import ASSETS
 
 
 def weights_fingerprint(path: Path) -> str:
@@ -23,6 +24,26 @@ def weights_fingerprint(path: Path) -> str:
     if file.suffix == ".onnx":
         parts.add(file.with_suffix(".safetensors"))
     return fingerprint([(part.name, content(part)) for part in sorted(parts) if part.is_file()])
+
+
+def content_fingerprint(path: Path) -> str:
+    """Return a hash of what a model is made of, whatever its files are called and wherever they lie.
+
+    A folder counts with its configuration. A file counts alone, unless it is the weights of such a folder, or needs
+    another beside it: OpenVINO's .xml its .bin, and the graph in the package its weights.
+    """
+    if path.is_dir() and not (path / WEIGHTS).is_file():
+        return weights_fingerprint(path)
+    folder = path if path.is_dir() else path.parent
+    if path.is_dir() or path.name == WEIGHTS:
+        parts = [folder / WEIGHTS, folder / CONFIG, folder / PREPROCESSOR]
+    elif path.suffix.lower() == ".xml":
+        parts = [path, path.with_suffix(".bin")]
+    elif path.suffix.lower() == ".onnx" and folder == ASSETS:
+        parts = [path, path.with_suffix(".safetensors")]
+    else:
+        parts = [path]
+    return fingerprint([content(part) for part in parts if part.is_file()])
 
 
 def fingerprint(values: object) -> str:

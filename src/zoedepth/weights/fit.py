@@ -16,6 +16,7 @@ from zoedepth.model.linear import products_are_slow
 from zoedepth.presets import PRESETS, with_compat
 from zoedepth.weights.checkpoint import Checkpoint
 from zoedepth.weights.layouts.keys import shown
+from zoedepth.weights.releases import RELEASES
 
 _WITHOUT_RANGE = ("adabins", "bts", "localbins", "newcrfs")
 """Layouts of checkpoints whose depth is a share of a range that they do not name."""
@@ -36,10 +37,11 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     Raises:
         InputError: weights are missing, unknown, of the wrong shape or not finite, or the config makes no model.
     """
-    config, weights, _, name_in_file, provenance = checkpoint
+    config, weights, _, name_in_file, provenance, _ = checkpoint
     _refuse_strange(config, len(weights), source)
     compat = tuple(compat)
-    if "80m" not in compat and checkpoint.layout == "original" and _is_taken_for_nyus(config):
+    guessed = checkpoint.layout == "original" and not checkpoint.says_config
+    if "80m" not in compat and guessed and _is_taken_for_nyus(config, Path(source).name):
         warnings.warn(
             f"{source} does not say which data it was trained on, and NYU is taken, with its 10 m and its camera. If "
             "it was trained on KITTI, give compat=['80m'] (--compat 80m). zoedepth convert writes either into a file",
@@ -82,10 +84,11 @@ def model_of(checkpoint: Checkpoint, *, source: str | Path, compat: Iterable[str
     return channels_last(_with_buffers(model)).eval()
 
 
-def _is_taken_for_nyus(config: AnyModelConfig) -> bool:
-    """Return True for one head of NYU's whose shapes are not those of the released ZoeD-N: nothing says it is NYU's."""
-    known = PRESETS["zoed-m12-n"]
-    return isinstance(config, ModelConfig) and config.domains == known.domains and config != known
+def _is_taken_for_nyus(config: AnyModelConfig, file: str) -> bool:
+    """Return True for one head of NYU's that is not the released ZoeD-N by its shapes and its name: nothing says it."""
+    known, released = PRESETS["zoed-m12-n"], RELEASES["zoed-m12-n"].file
+    taken = isinstance(config, ModelConfig) and config.domains == known.domains
+    return taken and (config != known or file != released)
 
 
 def _refuse_strange(config: AnyModelConfig, n_weights: int, source: str | Path) -> None:

@@ -12,7 +12,7 @@ from zoedepth.moved import moved_name
 from zoedepth.presets import PRESETS
 from zoedepth.threads import has_accelerator
 from zoedepth.weights.exported import ExportedModel, Precision, is_exported, load_exported
-from zoedepth.weights.fingerprint import fingerprint, weights_fingerprint
+from zoedepth.weights.fingerprint import content_fingerprint, fingerprint
 from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
 from zoedepth.weights.releases import ASSETS, RELEASES
 
@@ -130,17 +130,21 @@ def load_network(
 def weights_of(name_or_path: str | Path, *, compat: Iterable[str] = (), pad: bool) -> str:
     """Return a hash of the weights that a name stands for now, and of the options that change their metres.
 
-    The runtime that computes them does not matter, nor does the number type. An exported file has weights of its own.
+    It is the same on every machine, in every runtime, and whatever the files are called. An exported file has weights
+    of its own. Published models that are downloaded are known by their names.
 
     Args:
-        name_or_path: see ``load_model``.
+        name_or_path: see ``load_model``. In the folder of a training the newest checkpoint counts, which may be another
+            than the one that was loaded: give what ``find`` returned.
         compat: see ``load_model``.
         pad: True where photos are padded, see ``Predictor``.
 
     Raises:
         InputError: there is no such model.
     """
-    return fingerprint([weights_fingerprint(find(name_or_path)), sorted(set(compat)), pad])
+    release = RELEASES.get(name_or_path) if isinstance(name_or_path, str) else None
+    weights = name_or_path if release and release.url else content_fingerprint(find(name_or_path))
+    return fingerprint([weights, sorted(set(compat)), pad])
 
 
 def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
@@ -158,7 +162,7 @@ def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
         release = RELEASES[name]
         if release.url is None:
             return release.path
-        if not release.present and release.hub_id and cached(release.hub_id):
+        if not release.present and release.hub_id and release.alike_on_hub and cached(release.hub_id):
             return fetch(release.hub_id)  # the same weights are here already
         return download(release.url, release.path, name=name, progress=progress)
     if os.path.exists(path):  # Path.exists raises for a name that is too long for a file

@@ -36,7 +36,10 @@ class Release:
     url: str | None = None
     """Address that the file is downloaded from; None: it is in the package."""
     hub_id: str | None = None
-    """Hugging Face id of the same model."""
+    """Hugging Face id of the same weights."""
+    alike_on_hub: bool = True
+    """False if the files at the Hub say another size of photos than the model was trained with, and so give another
+    depth."""
     graph: str | None = None
     """File name of its graph in ONNX, beside the weights and without any, for models in the package."""
     measured: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
@@ -92,6 +95,7 @@ RELEASES: dict[str, Release] = {
         f"KITTI in metres; before that: {_M12}",
         f"{_ZOEDEPTH}/ZoeD_M12_K.pt",
         "Intel/zoedepth-kitti",
+        alike_on_hub=False,  # the processor there is transformers' default, 384x512
     ),
     "zoed-m12-nk": Release(
         "indoor and driving, with a router (NYU and KITTI)",

@@ -285,12 +285,24 @@ def test_folder_says_how_photos_are_resized_and_padded_and_cannot_say_how_a_batc
         write_checkpoint(voting, tmp_path / "voting", to="huggingface")
 
 
-@pytest.mark.parametrize("domain", [Domain("indoor", focal_px=415.58), Domain("outdoor", focal_px=760.0)])
+def test_a_focal_length_that_nobody_knows_stays_unknown(tmp_path: Path):
+    twin(twin_config(heads=(NYU, KITTI))).save_pretrained(tmp_path / "theirs")
+    checkpoint = read_checkpoint(tmp_path / "theirs")
+    domains = tuple(replace(domain, focal_px=None) for domain in checkpoint.config.domains)
+    own = checkpoint._replace(config=replace(checkpoint.config, domains=domains))
+    write_checkpoint(own, tmp_path / "own", to="huggingface")
+    assert load_model(tmp_path / "own").config.domains == domains
+
+
+@pytest.mark.parametrize(
+    "domain",
+    [Domain("indoor", focal_px=415.58), Domain("outdoor", focal_px=760.0), Domain("indoor", focal_px=None)],
+)
 def test_single_head_of_normed_centers_says_its_focal_length(tmp_path: Path, domain: Domain):
     """Or, with the sizes of the published ZoeD-K, it would be taken for that one, and reach 80 m."""
     twin(twin_config(centers="normed")).save_pretrained(tmp_path / "theirs")
     checkpoint = read_checkpoint(tmp_path / "theirs")
-    own = in_training_cameras(replace(checkpoint.config, domains=(domain,)))
+    own = replace(checkpoint.config, domains=(domain,))
     write_checkpoint(checkpoint._replace(config=own), tmp_path / "own", to="huggingface")
     said = json.loads((tmp_path / "own/config.json").read_text())["bin_configurations"][0]
     assert said["focal_px"] == own.domains[0].focal_px

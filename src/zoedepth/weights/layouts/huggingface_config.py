@@ -75,12 +75,17 @@ def _with_ours(model: ModelConfig, heads: list[dict[str, Any]]) -> ModelConfig:
     domains = [
         replace(
             domain,
-            focal_px=_number(entry, "focal_px", 0.0) or domain.focal_px,
+            focal_px=_focal_px(entry) if "focal_px" in entry else domain.focal_px,
             std_factor=_number(entry, "std_factor", domain.std_factor),
         )
         for entry, domain in zip(heads, model.domains, strict=True)
     ]
     return replace(model, domains=tuple(domains))
+
+
+def _focal_px(entry: Mapping[str, Any]) -> float | None:
+    """Return the focal length that a head has, None where its file says that nobody knows it."""
+    return None if entry["focal_px"] is None else _number(entry, "focal_px", 0.0)
 
 
 def _as_released(model: ModelConfig, *, size: tuple[int, int] | None) -> ModelConfig:
@@ -195,6 +200,8 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
     n_blocks = sum(name.startswith("encoder.network.position_tables.") for name in weights)
     hidden, width = weights["encoder.network.blocks.0.mlp.fc1.weight"].shape
     height, side = encoder.size[1], encoder.size[0]  # see _native
+    # A model that could be taken for the published ZoeD-K always says its focal length, so that its range is believed.
+    alone = len(config.domains) == 1 and head.centers == "normed"
     values: dict[str, Any] = {
         "architectures": ["ZoeDepthForDepthEstimation"],
         "model_type": "zoedepth",
@@ -224,10 +231,10 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
                 "min_depth": domain.min_depth,
                 "max_depth": domain.max_depth,
                 # Not transformers': they are ours, where they are not those of the published models.
-                **({} if domain.focal_px in omitted else {"focal_px": domain.focal_px}),
+                **({} if domain.focal_px == taken and not alone else {"focal_px": domain.focal_px}),
                 **({} if domain.std_factor == 1 else {"std_factor": domain.std_factor}),
             }
-            for domain, omitted in zip(config.domains, _omitted(config, head), strict=True)
+            for domain, taken in zip(config.domains, _taken_focals(config), strict=True)
         ],
         "torch_dtype": "float32",
     }
@@ -242,13 +249,9 @@ def to_json(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Any
     return values
 
 
-def _omitted(config: ModelConfig, head: AttractorConfig) -> list[tuple[float | None, ...]]:
-    """Return for each domain the focal lengths that config.json need not have, because ``read`` takes them by itself.
-
-    A model that could be taken for the published ZoeD-K always says its focal length, so that its range is believed.
-    """
-    alone = len(config.domains) == 1 and head.centers == "normed"
-    return [(None,) if alone else (None, domain.focal_px) for domain in in_training_cameras(config).domains]
+def _taken_focals(config: ModelConfig) -> list[float | None]:
+    """Return for each domain the focal length that ``read`` takes where config.json says none."""
+    return [domain.focal_px for domain in in_training_cameras(config).domains]
 
 
 def _head_json(head: AttractorConfig) -> dict[str, Any]:
