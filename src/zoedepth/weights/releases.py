@@ -95,7 +95,7 @@ RELEASES: dict[str, Release] = {
         f"KITTI in metres; before that: {_M12}",
         f"{_ZOEDEPTH}/ZoeD_M12_K.pt",
         "Intel/zoedepth-kitti",
-        alike_on_hub=False,  # the processor there is transformers' default, 384x512
+        alike_on_hub=False,  # its processor may be transformers' default, 384x512, as in the two others
     ),
     "zoed-m12-nk": Release(
         "indoor and driving, with a router (NYU and KITTI)",
