@@ -62,6 +62,7 @@ def only_one(file: Path, *, work: str, advice: str, wait_s: float = 0) -> Iterat
             advice = f"{advice}. If it does not run any more, delete {path}"
             lock.acquire()
     except Timeout as error:
+        holder = _holder(path) if wait_s else holder  # it may have been another one's since
         raise HeldError(f"another command {work} ({holder}): {advice}") from error
     except OSError as error:
         raise InputError(f"cannot write to {file.parent} ({error.strerror or error})") from error

@@ -56,8 +56,9 @@ def open_dataset(
         split: which list, folder or split to take, where there are several.
         allow_missing: accept photos without depth, where the format can say that there is none.
         depth_scale: the stored value of one metre, for whole numbers of which the data does not say it.
-        domain: scene type, where the data does not say it.
-        max_depth: the metres from which on depth is unknown, where the data does not say it.
+        domain: scene type, where the data does not say it; it replaces that of dataset.json.
+        max_depth: the metres from which on depth is unknown, where the data does not say it; it replaces those of
+            dataset.json.
         root: the folder that the paths of a list are relative to; None takes that of the list. Data of other forms has
             no use for it.
         keep_missing: accept pairs whose files are missing. Reading them is an error, and ``missing_files`` of the data

@@ -15,6 +15,7 @@ from tests.geometry.test_exif import FILM_LENGTH, photo_of
 from zoedepth.calibration import Calibration, read_calibration, write_calibration
 from zoedepth.cli import main
 from zoedepth.depth_map import DepthMap
+from zoedepth.lock import only_one
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.predict import Predictor
@@ -257,6 +258,20 @@ class TestSeveralPhotos:
         assert {Path(each.photo).name for each in read_calibration(kept).readings} == {
             "photo.jpg", "other.jpg", "third.jpg",
         }  # fmt: skip
+
+    def test_two_commands_do_not_write_at_once(
+        self, photo: Path, depth: DepthMap, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+        capsys: pytest.CaptureFixture[str],
+    ) -> None:  # fmt: skip
+        kept = tmp_path / "camera.json"
+        assert calibrate(photo, *readings(depth, 1.5, 3), "--out", kept) == 0
+        before = kept.read_bytes()
+        monkeypatch.setattr("zoedepth.commands.calibrate._WAIT_S", 0.05)
+        with only_one(kept, work="adds", advice=""):
+            assert calibrate(photo, *readings(depth, 1.5, 1), "--out", kept, "--add") == 2
+        assert "another command adds readings to" in " ".join(capsys.readouterr().err.split())
+        assert kept.read_bytes() == before
+        assert calibrate(photo, *readings(depth, 1.5, 1), "--out", kept, "--add") == 0
 
     def test_readings_of_the_service_which_has_no_names_of_photos_are_added_to(
         self, photo: Path, depth: DepthMap, tmp_path: Path

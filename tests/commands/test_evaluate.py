@@ -48,11 +48,10 @@ def model(request: pytest.FixtureRequest, models: Path) -> Path:
     return path
 
 
-def write_predictions(folder: Path, path: Path) -> Path:
-    """Write depth maps of a list's photos: the truth times 1.1 (left) to 1.3 (right), and 2 m where it is unknown."""
+def write_predictions(folder: Path, *paths: Path) -> Path:
+    """Write depth maps of lists' photos: the truth times 1.1 (left) to 1.3 (right), and 2 m where it is unknown."""
     folder.mkdir()
-    dataset = PairDataset(path)
-    for index in range(len(dataset)):
+    for dataset, index in ((each, i) for each in map(PairDataset, paths) for i in range(len(each))):
         sample = dataset[index]
         truth = sample.target[0].numpy()
         depth = np.where(truth > 0, truth * np.linspace(1.1, 1.3, truth.shape[1], dtype=np.float32), np.float32(2))
@@ -163,9 +162,10 @@ class TestProtocol:
         assert "attic" in error(capsys, "--data", path, "--protocol", "attic=nyu")
 
     def test_of_a_data_set_is_its_own(self, tmp_path: Path, capsys):
-        paths = [write_pairs(tmp_path / name, n=1, split="test") for name in ("a", "b", "c")]
-        theirs = write_predictions(tmp_path / "theirs", paths[0])  # photos of the same names
-        records = run(capsys, "--predictions", theirs, "--data", *paths, "--protocol", "b=nyu", "plain")
+        path = write_pairs(tmp_path / "rooms", n=1, split="test")
+        theirs = write_predictions(tmp_path / "theirs", path)
+        data = [f"{name}={path}" for name in "abc"]
+        records = run(capsys, "--predictions", theirs, "--data", *data, "--protocol", "b=nyu", "plain")
         labels = [PLAIN.label, PROTOCOLS["nyu"].label, PLAIN.label]
         assert [record["protocols"]["indoor"] for record in records] == labels
 
@@ -233,6 +233,10 @@ class TestSources:
         constant, mean = run(capsys, "--trivial", train, "--data", path)
         assert (constant["source"], mean["source"]) == ("best constant", "mean depth map")
         assert 0 < mean["rel"] < constant["rel"]
+        (tmp_path / "lists").mkdir()
+        lists = [path.rename(tmp_path / "lists" / path.name) for path in (train, path)]
+        moved = run(capsys, "--trivial", lists[0], "--data", lists[1], "--root", tmp_path / "rooms")
+        assert [record["rel"] for record in moved] == [constant["rel"], mean["rel"]]
 
     def test_disparity_says_nothing_without_looking(self, tmp_path: Path, capsys):
         train = write_pairs(tmp_path / "rooms", n=2, split="train")
@@ -372,9 +376,9 @@ class TestOutput:
         assert (record["images"], record["without_truth"]) == (2, 1)
 
     def test_several_data_sets_are_an_object_each_with_their_names(self, tmp_path: Path, capsys):
-        rooms = write_pairs(tmp_path / "rooms", n=1, split="test")
+        rooms = write_pairs(tmp_path / "rooms", n=1)
         streets = write_pairs(tmp_path / "streets", n=2, size=(360, 1220), domain="outdoor", split="test")
-        theirs = write_predictions(tmp_path / "theirs", streets)  # those of the room have another size
+        theirs = write_predictions(tmp_path / "theirs", rooms, streets)
         records = run(capsys, "--predictions", theirs, "--data", rooms, f"cars={tmp_path / 'streets'}")
         assert [(record["data"], record["images"]) for record in records] == [("rooms", 1), ("cars", 2)]
 

@@ -328,6 +328,6 @@ def test_all_options_arrive(
 def test_installed_stands_for_the_models_on_this_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     from zoedepth.commands.serve import _chosen
 
-    monkeypatch.setattr("zoedepth.weights.hub.cached", lambda hub_id: False)
+    monkeypatch.setattr("zoedepth.weights.load.cached", lambda hub_id: False)
     assert _chosen(("installed", "zoed-lite"))[0] == "zoed-lite"
     assert len(_chosen(("installed", "zoed-lite"))) == len(set(_chosen(("installed",))))

@@ -82,7 +82,9 @@ def test_whole_numbers_need_their_unit(tmp_path: Path) -> None:
 def test_floats_stay_metres_whatever_is_said_for_whole_numbers_and_far_ones_are_unknown(tmp_path: Path) -> None:
     folder = save(tmp_path / "saved", [METRES], array())
     (folder / "dataset.json").write_text('{"depth_scale": 1000, "domain": "hall", "max_depth": 3}')
-    assert open_dataset(folder, depth_scale=256)[0].target[0].tolist() == [[1.5, 0, 2.5], [0, 0, 0]]
+    assert open_dataset(folder, depth_scale=1000)[0].target[0].tolist() == [[1.5, 0, 2.5], [0, 0, 0]]
+    with pytest.raises(InputError, match=r"dataset\.json says depth_scale 1000, and 256 is asked for"):
+        open_dataset(folder, depth_scale=256)
 
 
 def test_splits(tmp_path: Path) -> None:

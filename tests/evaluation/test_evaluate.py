@@ -99,6 +99,13 @@ def test_photos_of_two_data_sets_may_not_share_a_depth_map(tmp_path: Path) -> No
     assert not evaluate({"theirs": FolderSource(maps)}, twice).failures
 
 
+def test_depth_maps_of_photos_that_are_no_files_are_not_shared(tmp_path: Path) -> None:
+    """Samples of two such sets may have the same names."""
+    np.save(tmp_path / "0.npy", np.ones((130, 20), np.float32))
+    with pytest.raises(InputError, match="nobody can tell the depth maps of rooms"):
+        evaluate({"theirs": FolderSource(tmp_path)}, SETS)
+
+
 def test_set_without_a_pixel_to_score_is_a_failure() -> None:
     nothing = EvaluationSet(photos(1), {"indoor": replace(EVERYWHERE, max_depth=0.5)})
     found = evaluate({"ours": FactorSource()}, {"far": nothing})

@@ -287,6 +287,9 @@ class TestSeveralCameras:
         path = write(tmp_path / "cameras.txt", self.FIRST + "2 SIMPLE_RADIAL 320 240 300 160 120 0.1\n")
         assert read_camera(path, SIZE).fx == 500
         assert "lens distortion (0.1)" in error(path, path.read_text(), (240, 320))
+        assert "cameras.txt" not in repr(
+            read_cameras(path, SIZE)
+        )  # by which a job knows its cameras, wherever they lie
         with pytest.raises(InputError, match=r"cameras\.txt: it has lens distortion \(0\.1\)"):
             camera_of(read_cameras(path, SIZE), (240, 320))
 

@@ -6,6 +6,7 @@ import os
 import random
 import shutil
 import sys
+import tarfile
 import threading
 import time
 from collections import Counter
@@ -21,6 +22,7 @@ from zoedepth import batch
 from zoedepth.batch import Request
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
+from zoedepth.jobs import run as run_module
 from zoedepth.jobs.manifest import Manifest
 from zoedepth.jobs.run import Tally, count_in_background
 from zoedepth.outputs import sidecar
@@ -223,6 +225,22 @@ def test_other_settings_of_a_folder_are_refused_and_of_a_photo_taken(folder: Pat
     assert run(photo, out=tmp_path / "photo", settings=other)[1].before == 1
     assert run(folder, out=tmp_path / "out", settings=other, overwrite=True)[1].done == 4
     assert run(folder, out=tmp_path / "out", settings=other)[1].before == 4
+
+
+def test_of_compressed_archives_a_few_members_wait_unpacked(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed = tmp_path / "photos.tar.gz"
+    with tarfile.open(packed, "w:gz") as archive:
+        archive.add(folder, "photos")
+    monkeypatch.setattr(batch, "MAX_HELD", 1)
+    waiting: list[int] = []
+    original = run_module._held
+    monkeypatch.setattr(run_module, "_held", lambda item: waiting.append(original(item)) or original(item))
+    _, tally = run(packed, out=tmp_path / "out")
+    assert tally.done == 4
+    assert len(waiting) == 4
+    assert min(waiting) > 1
 
 
 def test_two_commands_on_one_folder(folder: Path, tmp_path: Path) -> None:

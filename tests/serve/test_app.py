@@ -129,6 +129,19 @@ class TestDepth:
         assert answer.status == 422
         assert "camera" in answer.json["detail"]
 
+    def test_a_calibration_of_other_weights_is_refused_without_telling_where_the_model_lies(
+        self, client: Client, model_file: str
+    ) -> None:
+        readings = json.dumps([[5, 5, 1.0]]).encode()
+        made = client.form("/v1/calibrate", {"photo": photo(), "readings": readings})
+        assert made.json["calibration"]["weights"]
+        for other in ({"weights": "of yesterday"}, {"weights": None, "network": "elsewhere/other.safetensors"}):
+            changed = {**made.json, "calibration": {**made.json["calibration"], **other}}
+            answer = client.form("/v1/depth", {"photo": photo(), "calibration": json.dumps(changed).encode()})
+            assert answer.status == 422
+            assert "it was measured with" in answer.json["detail"]
+            assert str(Path(model_file).parent) not in answer.body.decode()
+
     @pytest.mark.parametrize("calibration", [b"", b"{}", b"[1]", b"\xff", b'{"zoedepth": "calibration"}'])
     def test_what_is_no_calibration_is_invalid(self, calibration: bytes, client: Client) -> None:
         answer = client.form("/v1/depth", {"photo": photo(), "calibration": calibration})

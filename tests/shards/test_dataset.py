@@ -53,6 +53,12 @@ class TestReading:
         with pytest.raises(IndexError):
             dataset[7]
 
+    def test_a_unit_that_is_asked_may_not_be_another_than_that_beside_the_shards(self, shards: Path):
+        (shards / "dataset.json").write_text('{"depth_scale": 1000}')
+        assert len(ShardDataset(shards, depth_scale=1000)) == len(ShardDataset(shards))
+        with pytest.raises(InputError, match=r"dataset\.json says depth_scale 1000, and 256 is asked for"):
+            ShardDataset(shards, depth_scale=256)
+
     def test_order_has_every_sample_once(self, shards: Path):
         dataset = ShardDataset(shards)
         orders = [dataset.order(np.random.default_rng(seed)).tolist() for seed in (0, 0, 1)]

@@ -148,6 +148,8 @@ def test_an_exported_model_says_what_it_cannot_do(file: Path):
         exported(torch.rand(1, 3, 64, 64), return_bins=True)
     with pytest.raises(InputError, match="no gradients"):
         exported(torch.rand(1, 3, 64, 64, requires_grad=True))
+    with torch.no_grad():
+        assert exported(torch.rand(1, 3, 64, 64, requires_grad=True)).depth.isfinite().all()
     with pytest.raises(InputError, match="relative"):
         exported.relative(torch.rand(1, 3, 64, 64))
     with pytest.raises(InputError, match="cannot be moved"):

@@ -13,7 +13,7 @@ from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.presets import PRESETS
 from zoedepth.weights import load
-from zoedepth.weights.load import available_models, find, load_model, weights_of
+from zoedepth.weights.load import available_models, find, is_here, load_model, pinned, weights_of
 from zoedepth.weights.releases import RELEASES
 from zoedepth.weights.save import save_model
 
@@ -42,6 +42,37 @@ def test_folder_with_a_model_is_loaded(tiny_model: ZoeDepth, file: Path):
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
+
+
+class TestPinned:
+    def test_a_training_stands_for_its_newest_checkpoint_of_now(self, file: Path, tmp_path: Path):
+        for step in ("step_000001", "step_000002"):
+            (tmp_path / "run" / step).mkdir(parents=True)
+            (tmp_path / "run" / step / "model.safetensors").write_bytes(file.read_bytes())
+        assert pinned(str(tmp_path / "run")) == tmp_path / "run" / "step_000002"
+        assert pinned(str(file)) == str(file)
+
+    def test_a_folder_that_is_called_as_a_published_model_does_not_stand_in_its_way(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ):
+        """As --out zoed-lite makes one."""
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "zoed-lite").mkdir()
+        assert pinned("zoed-lite") == "zoed-lite"
+
+
+def test_the_hubs_copy_stands_for_a_published_model_where_it_is_the_same(monkeypatch: pytest.MonkeyPatch):
+    """Its file for ZoeD-K says another size of photos."""
+    monkeypatch.setenv("TORCH_HOME", "nowhere")
+    monkeypatch.setattr(load, "cached", lambda _: True)
+    monkeypatch.setattr(load, "fetch", lambda repo: Path(repo))
+    monkeypatch.setattr(load, "download", lambda url, *_, **__: Path("downloaded"))
+    assert [find(f"zoed-m12-{kind}") for kind in ("n", "k", "nk")] == [
+        Path("Intel/zoedepth-nyu"), Path("downloaded"), Path("Intel/zoedepth-nyu-kitti"),
+    ]  # fmt: skip
+    here = {name for name, release in RELEASES.items() if is_here(release)}
+    assert {"zoed-lite", "zoed-m12-n", "zoed-m12-nk"} <= here
+    assert "zoed-m12-k" not in here
 
 
 class TestWeightsOf:

@@ -157,7 +157,7 @@ class Calibration:
             found.append(f"it was measured with the model {self.network}, and this is {network}")
         elif one_weights is False:
             found.append(
-                f"it was measured with other weights of {network or 'the model'}, or another --compat or --pad"
+                f"it was measured with other weights of {self.network or 'the model'}, or another --compat or --pad"
             )
         if self.domain is not None and domain is not None and domain != self.domain:
             found.append(f"it was measured with the head for {self.domain}, and this depth is of that for {domain}")

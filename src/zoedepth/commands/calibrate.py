@@ -126,7 +126,7 @@ def calibrate(
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
-    from zoedepth.weights.load import find, load_for_prediction, weights_of
+    from zoedepth.weights.load import load_for_prediction, pinned, weights_of
 
     earlier = None
     if out is not None:
@@ -142,7 +142,7 @@ def calibrate(
         focal_px=focal_px,
         intrinsics=intrinsics,
     )
-    place = find(model) if Path(model).is_dir() else model  # a training may add a newer checkpoint at any moment
+    place = pinned(model)
     with download_progress() as progress:
         network = load_for_prediction(place, device=device, compat=compat, precision=precision, progress=progress)
     if not network.config.domains:
@@ -162,16 +162,6 @@ def calibrate(
         places = places_to_measure(result.depth, result.valid)
         proposed = ", ".join(f"{x},{y} ({result.depth[y, x]:.2f} m by the model)" for x, y in places)
         raise InputError(f"give what was measured: --at X,Y=METRES. Good places in this photo are {proposed}")
-    if earlier is not None and (
-        reasons := earlier.mismatches(
-            camera=result.camera,
-            network=model,
-            domain=result.domain,
-            focal_corrected=result.focal_correction != 1,
-            weights=weights,
-        )
-    ):
-        raise InputError(f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}")
     name = readable(os.path.abspath(photo))
     with ExitStack() as stack:
         if out is not None and earlier is not None:
@@ -179,6 +169,17 @@ def calibrate(
             work, advice = f"adds readings to {out}", "type this again when it is done"
             stack.enter_context(only_one(out, work=work, advice=advice, wait_s=_WAIT_S))
             earlier = read_calibration(out)
+            reasons = earlier.mismatches(
+                camera=result.camera,
+                network=model,
+                domain=result.domain,
+                focal_corrected=result.focal_correction != 1,
+                weights=weights,
+            )
+            if reasons:
+                raise InputError(
+                    f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}"
+                )
         if earlier is not None and any(reading.photo == name for reading in earlier.readings):
             Console(stderr=True, highlight=False).print(
                 f"note: the readings of {photo} that {out} had are replaced", soft_wrap=True, markup=False

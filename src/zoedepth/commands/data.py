@@ -103,7 +103,7 @@ def check(
         sheet: write a picture of some pairs to this .jpg, .png or .webp.
         full: read every pair instead of 50, as finetune --check full does.
         depth_scale: the stored value of one metre, where the data does not say it.
-        domain: scene type, where the data does not say it.
+        domain: scene type, where the data does not say it; it replaces that of dataset.json.
         root: the folder that the paths of a list are relative to; without it that of the list.
         json_: print one JSON object, and nothing else.
     """

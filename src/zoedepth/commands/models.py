@@ -16,6 +16,7 @@ def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int
         json_: print one JSON object for each model and nothing else.
     """
     from zoedepth.weights.hub import cached
+    from zoedepth.weights.load import is_here
     from zoedepth.weights.releases import RELEASES, download_folder
 
     for name, release in RELEASES.items():
@@ -24,7 +25,7 @@ def models(*, json_: Annotated[bool, tyro.conf.arg(name="json")] = False) -> int
             record = {"name": name, **asdict(release), "path": str(release.path)}
             print(json.dumps({**record, "present": release.present, "hub_present": in_hub_cache}))
             continue
-        here = "here" if release.present or in_hub_cache else "not here"
+        here = "here" if is_here(release) else "not here"
         print(f"{name:<20} {here:<9} {release.size:<8} weights: {release.licence}")
         print(f"    {release.what}")
         if release.url:

@@ -268,12 +268,11 @@ def predict(
         from zoedepth.jobs.run import Tally, run_job, writing
         from zoedepth.jobs.settings import job_settings, network_fingerprint
         from zoedepth.predict import Predictor
-        from zoedepth.weights.load import find, weights_of
+        from zoedepth.weights.load import pinned, weights_of
 
         n_workers = min(workers or cpu_count(), len(first))  # 0 once stood for all cores
         with share_cores(n_workers):
-            # A training may add a newer checkpoint to its folder at any moment.
-            weights_at = find(model) if Path(model).is_dir() else model
+            weights_at = pinned(model)
             network, numbers, device = _load(
                 weights_at,
                 fast=fast,

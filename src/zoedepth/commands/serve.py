@@ -131,12 +131,12 @@ def _tell(address: str, models: tuple[str, ...], *, open_: bool) -> None:
 
 def _chosen(models: tuple[str, ...]) -> tuple[str, ...]:
     """Return the models, with those on this machine in place of "installed"."""
-    from zoedepth.weights.hub import cached
+    from zoedepth.weights.load import is_here
     from zoedepth.weights.releases import RELEASES
 
     here: list[str] = []
     if "installed" in models:
-        here = [name for name, each in RELEASES.items() if each.present or (each.hub_id and cached(each.hub_id))]
+        here = [name for name, each in RELEASES.items() if is_here(each)]
     named = [each for model in models for each in (here if model == "installed" else [model])]
     return tuple(dict.fromkeys(named))
 

@@ -32,7 +32,7 @@ def shard(
         split: which list, folder or split of the source to take.
         shard_size: how large a shard may become: 500MB, 2GB, or a number of samples.
         depth_scale: the stored value of one metre, where the source does not say it.
-        domain: scene type, where the source does not say it.
+        domain: scene type, where the source does not say it; it replaces that of dataset.json.
         root: the folder that the paths of a list are relative to; without it that of the list.
         workers: processes that read and pack samples; without it the one that writes them does it.
     """

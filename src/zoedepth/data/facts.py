@@ -66,7 +66,7 @@ def asked_over(asked: Facts, said: Facts, folder: str | Path) -> Facts:
     if asked.depth_scale and said.depth_scale and asked.depth_scale != said.depth_scale:
         raise InputError(
             f"{Path(folder, DEFAULTS_FILE)} says depth_scale {said.depth_scale:g}, and {asked.depth_scale:g} is asked "
-            "for: leave out the option, which is for data that says none, or correct the file"
+            f"for: leave out the option, or correct the file. Data that says none may have a {DEFAULTS_FILE} of its own"
         )
     return asked.over(said)
 

@@ -60,8 +60,8 @@ class PairDataset(Dataset[Sample]):
         allow_missing: accept a photo without depth ("None" in a list) as one without truth, as KITTI's test list has
             them; otherwise it is an error, because nothing can be learned from it.
         depth_scale: the stored value of one metre, for files of which nobody says it.
-        domain: scene type, for pairs of which nobody says it.
-        max_depth: the metres from which on depth is unknown, for pairs of which nobody says it.
+        domain: scene type, for pairs of which no list says it.
+        max_depth: the metres from which on depth is unknown, for pairs of which no list says it.
         root: the folder that the paths of a list are relative to; None takes that of the list.
         keep_missing: accept pairs whose files are missing; ``missing_files`` lists these, and reading them is an error.
 

@@ -274,20 +274,25 @@ def _open_scores(
 
 
 def _check_own_maps(source: FolderSource, data: Mapping[str, EvaluationSet]) -> None:
-    """Refuse a folder of depth maps in which photos of two data sets would have one map.
+    """Refuse a folder of depth maps in which photos of two data sets would have one map, or where nobody can tell.
 
     Two photos of one data set are refused one by one, when they are read.
     """
     owners: dict[Path, tuple[str, Path]] = {}  # the first photo of each map
     for name, each in data.items():
         if not isinstance(each.dataset, PairDataset | PublishedDataset):
-            continue  # its photos are no files
+            if len(data) > 1:
+                raise InputError(
+                    f"nobody can tell the depth maps of {name} from those of other data sets in {source.folder}, "
+                    "because its photos are no files: score it by itself"
+                )
+            continue
         for index, pair in enumerate(each.dataset.pairs):
             path = source.find(each.dataset.name_of(index))
             if path is None:
                 continue
             other, photo = owners.setdefault(path, (name, pair.image))
-            if other != name and photo != pair.image:
+            if other != name and photo.resolve() != pair.image.resolve():
                 raise InputError(
                     f"{path} would be the depth of two photos, {photo} of {other} and {pair.image} of {name}: give "
                     "each data set a folder of predictions, and score them one after the other"

@@ -18,6 +18,9 @@ from zoedepth.datasets.published import PublishedDataset
 from zoedepth.shards.dataset import ShardDataset
 from zoedepth.weights.fingerprint import content, files_state, fingerprint
 
+_SCORING = 2
+"""Number that grows when the same protocol scores other pixels than it did: kept scores are made anew then."""
+
 
 def settings_fingerprint(source: str, dataset: Samples | None = None) -> str | None:
     """Return a hash of ``dataset.json`` in a folder of data or beside a list; None where there is no such file.
@@ -67,7 +70,7 @@ class Stamps:
         self._of_source: Callable[[str], object] | None = getattr(source, "state", None)
         self._pairs = data.pairs if isinstance(data, PairDataset | PublishedDataset) else None
         self._n_images = len(data)
-        self._common = fingerprint([__version__, dict(state), files_state(getattr(data, "files", ()))])
+        self._common = fingerprint([__version__, _SCORING, dict(state), files_state(getattr(data, "files", ()))])
 
     def of_data(self, index: int) -> str:
         """Return the state of an image of the data set and of what all scores depend on; "" for no such image."""

@@ -32,7 +32,7 @@ from zoedepth.stored import DEPTH_SUFFIXES, read_stored
 from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
-from zoedepth.weights.load import find, load_for_prediction
+from zoedepth.weights.load import find, load_for_prediction, pinned
 
 # The usual ones first; DEPTH_SUFFIXES has all that can be read.
 _SUFFIXES = tuple(dict.fromkeys((".png", ".npy", ".npz", *DEPTH_SUFFIXES)))
@@ -149,8 +149,7 @@ class ModelSource:
         """
         streams = min(cpu_count(), _MOST_WORKERS)
         precision: Precision = "float32"
-        # A training may add a newer checkpoint at any moment: the one that is loaded is the one that is hashed.
-        place = find(name) if Path(name).is_dir() else name
+        place = pinned(name)
         about: dict[str, object] = {"model": str(name), "compat": list(compat)}
         with share_cores(streams):  # an exported model takes its threads when it is loaded
             if fast:

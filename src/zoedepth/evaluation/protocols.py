@@ -27,7 +27,8 @@ class Protocol:
     crop: Crop = "none"
     """Part of the true depth that is scored; see ``crop_mask``."""
     kitti_crop: bool = False
-    """True where the photo and its depth are first cut to their bottom centre, 352x1216 pixels."""
+    """True where photos of the size of KITTI's frames, and their depth, are first cut to 352x1216 pixels, see
+    ``augment.kitti_crop``."""
     photo_size: tuple[int, int] | None = None
     """(height, width) to which the photo is resized first, whatever its proportions; None leaves it as it is."""
     photo_short_side: int | None = None

@@ -1,7 +1,7 @@
 """The lens, all that is known of a camera before the size of the photo is; and the camera of a photo from either."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
@@ -55,8 +55,9 @@ class Cameras:
     """Several cameras, of which the size of a photo chooses: those of a file of COLMAP, for example."""
 
     cameras: tuple[Camera, ...]
-    objections: tuple[tuple[tuple[int, int], str], ...] = ()
-    """Of cameras that cannot be used: the size of their photos, and the reason, a sentence for people."""
+    objections: tuple[tuple[tuple[int, int], str], ...] = field(default=(), repr=False)
+    """Cameras that cannot be used: the size of their photos, and the reason, a sentence for people that names the
+    file."""
 
     def chosen(self, size: tuple[int, int]) -> Camera:
         """Return the camera that took a photo of ``size`` (height, width).

@@ -309,7 +309,14 @@ def _calibrated(query: CalibratedQuery, parts: Mapping[str, bytes], model: Model
         return lambda result: result.calibrated(replace(calibration, focal_corrected=result.focal_correction != 1))
     # The command line knows a model by what follows --model; older calibrations know it by what it is called here.
     network = model.name if calibration.network == model.name else model.source
-    return lambda result: result.calibrated(calibration, network=network, weights=model.weights)
+
+    def put_right(result: DepthMap) -> DepthMap:
+        try:
+            return result.calibrated(calibration, network=network, weights=model.weights)
+        except InputError as error:  # where the model lies is no business of a client
+            raise InputError(str(error).replace(model.source, model.told)) from None
+
+    return put_right
 
 
 def _point(result: DepthMap, x: float, y: float) -> dict[str, object]:

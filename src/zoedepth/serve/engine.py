@@ -22,7 +22,7 @@ from zoedepth.serve.problems import ClientGone, Problem, sentence
 from zoedepth.serve.settings import Settings
 from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
-from zoedepth.weights.load import load_for_prediction, weights_of
+from zoedepth.weights.load import load_for_prediction, pinned, weights_of
 from zoedepth.weights.releases import RELEASES
 
 Result = TypeVar("Result")
@@ -72,14 +72,15 @@ class Model:
         self.name = source if source in RELEASES else (path.stem if path.is_file() else path.name) or source
         self.told = path.name if path.is_file() else self.name
         """The name in calibrations: a file's with its ending, without the folder, which is no business of a client."""
-        network = load_for_prediction(source, device=settings.device, precision=settings.precision, streams=streams)
+        place = pinned(source)
+        network = load_for_prediction(place, device=settings.device, precision=settings.precision, streams=streams)
         if not network.config.domains:
             raise InputError(f"{source} gives relative depth, and the service answers in metres: choose another model")
         self._precision: Any = settings.precision
         base = Predictor(network, device=settings.device, precision=self._precision)
         self.network = base.model
         """The network, on its device."""
-        self.weights = weights_of(source, pad=base.pad)
+        self.weights = weights_of(place, pad=base.pad)
         """Hash by which calibrations know the weights."""
         self.on_cpu = isinstance(network, ExportedModel) or base.device.type == "cpu"
         """True where the network computes on the CPU."""

@@ -52,8 +52,8 @@ class ShardDataset(Dataset[Sample]):
         path: a folder with ``index.json`` or with tar files, an ``index.json``, a .tar, or the address of one of the
             last two. Without an index the headers are read once, which takes a second for some 10,000 samples.
         depth_scale: the stored value of one metre, for samples of which nobody says it.
-        domain: scene type, for samples of which nobody says it.
-        max_depth: the metres from which on depth is unknown, for samples of which nobody says it.
+        domain: scene type, for samples that do not say it.
+        max_depth: the metres from which on depth is unknown, for samples that do not say it.
         cache: the folder where shards from the web are kept; None takes ``cache_folder``.
 
     Raises:

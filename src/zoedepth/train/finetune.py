@@ -28,6 +28,7 @@ from zoedepth.train.config import FinetuneOptions, OptimConfig, SourceConfig, Tr
 from zoedepth.train.extend import extended, extended_config, head_of, origin_of
 from zoedepth.train.metric import train_metric
 from zoedepth.train.pictures import data_sheet
+from zoedepth.train.processes import own_device
 from zoedepth.train.run import identity_of
 from zoedepth.train.sources import open_source
 from zoedepth.train.state import check_same, checkpoints
@@ -329,7 +330,7 @@ def _measure(model: str, name: str, plan: Plan, label: str) -> Summary:
     held_out = Subset(dataset, range(n - plan.config.held_out(name), n))
     protocols = {scene: protocol_of(scene) for scene in dataset.domains}
     knows = plan.config.model.canonical_camera and plan.surveys[name].n_cameras > 0
-    tested = ModelSource(on_device(load_network(model), "auto"), camera="data" if knows else "none")
+    tested = ModelSource(on_device(load_network(model), own_device()), camera="data" if knows else "none")
     with torch.no_grad():
         results = score_dataset(tested, held_out, protocols, workers=tested.workers)
     return summarise(

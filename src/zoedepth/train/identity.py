@@ -48,8 +48,8 @@ def same_start(first: object, second: object) -> bool:
     """
     if not (isinstance(first, list) and isinstance(second, list)) or len(first) != len(second):
         return first == second
-    (name, content_), (other_name, other_content) = (state[:2] for state in (first, second))
-    return content_ == other_content if content_ and other_content else name == other_name
+    (name, weights), (other_name, other_weights) = first, second
+    return weights == other_weights if weights and other_weights else name == other_name
 
 
 def _weights(file: Path) -> str:

@@ -87,6 +87,11 @@ def total(x: Tensor) -> Tensor:
     return function.apply(x) if several_processes() else x
 
 
+def own_device() -> str:
+    """Return the device of this process: under torchrun each has a GPU of its own."""
+    return f"cuda:{os.environ.get('LOCAL_RANK', 0)}" if torch.cuda.is_available() else "auto"
+
+
 def is_first() -> bool:
     """Return True in the first of the processes of a training, and where there is only one."""
     return not several_processes() or distributed.get_rank() == 0

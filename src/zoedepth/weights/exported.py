@@ -124,16 +124,19 @@ class ExportedModel(ABC):
         Raises:
             InputError: wrong shape or size, or bins or gradients are asked for, which exported files do not give.
         """
-        if pixels.requires_grad:
-            raise InputError("an exported model passes no gradients: load the model that it was exported from")
         if return_bins:
             raise InputError("an exported model gives no bins: load the model that it was exported from")
         import torch
 
+        if torch.is_grad_enabled() and pixels.requires_grad:
+            raise InputError("an exported model passes no gradients: load the model that it was exported from")
+
         from zoedepth.model.interface import DepthModel, DepthOutput
 
         DepthModel.check(cast(Any, self), pixels, domain)
-        arrays = self.compute(pixels.float().numpy(), None if domain is None else domain.numpy(), std=return_std)
+        arrays = self.compute(
+            pixels.detach().float().numpy(), None if domain is None else domain.numpy(), std=return_std
+        )
         said = Exported(*(None if x is None else torch.from_numpy(x) for x in arrays))
         taken = torch.zeros(len(pixels), dtype=torch.long)
         if said.domain_logits is not None:

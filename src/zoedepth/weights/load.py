@@ -14,7 +14,7 @@ from zoedepth.threads import has_accelerator
 from zoedepth.weights.exported import ExportedModel, Precision, is_exported, load_exported
 from zoedepth.weights.fingerprint import content_fingerprint, fingerprint
 from zoedepth.weights.hub import WEIGHTS, cached, fetch, is_hub_id
-from zoedepth.weights.releases import ASSETS, RELEASES
+from zoedepth.weights.releases import ASSETS, RELEASES, Release
 
 if TYPE_CHECKING:
     from zoedepth.model.interface import DepthModel
@@ -130,12 +130,12 @@ def load_network(
 def weights_of(name_or_path: str | Path, *, compat: Iterable[str] = (), pad: bool) -> str:
     """Return a hash of the weights that a name stands for now, and of the options that change their metres.
 
-    It is the same on every machine, in every runtime, and whatever the files are called. An exported file has weights
-    of its own. Published models that are downloaded are known by their names.
+    It is the same on every machine, in every runtime, and for an identical file under another name. An exported file
+    has weights of its own. Published models that are downloaded are known by their names, and not by their files.
 
     Args:
         name_or_path: see ``load_model``. In the folder of a training the newest checkpoint counts, which may be another
-            than the one that was loaded: give what ``find`` returned.
+            than the one that was loaded: give what ``pinned`` returned before.
         compat: see ``load_model``.
         pad: True where photos are padded, see ``Predictor``.
 
@@ -145,6 +145,28 @@ def weights_of(name_or_path: str | Path, *, compat: Iterable[str] = (), pad: boo
     release = RELEASES.get(name_or_path) if isinstance(name_or_path, str) else None
     weights = name_or_path if release and release.url else content_fingerprint(find(name_or_path))
     return fingerprint([weights, sorted(set(compat)), pad])
+
+
+def pinned(name_or_path: str | Path) -> str | Path:
+    """Return what a name stands for now, where that may change: the newest checkpoint in the folder of a training.
+
+    Whoever loads a model and also says which one it was asks for this first. Other names come back as they are.
+
+    Raises:
+        InputError: see ``load_model``.
+    """
+    is_name = isinstance(name_or_path, str) and name_or_path in RELEASES
+    return find(name_or_path) if not is_name and os.path.isdir(name_or_path) else name_or_path
+
+
+def is_here(release: Release) -> bool:
+    """Return True if the weights of a release are on this machine, so that its name loads without the network."""
+    return release.present or _on_hub(release)
+
+
+def _on_hub(release: Release) -> bool:
+    """Return True if the Hub's copy of a release is on this machine, and is the same model."""
+    return release.hub_id is not None and release.alike_on_hub and cached(release.hub_id)
 
 
 def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
@@ -162,8 +184,8 @@ def find(name_or_path: str | Path, *, progress: Progress | None = None) -> Path:
         release = RELEASES[name]
         if release.url is None:
             return release.path
-        if not release.present and release.hub_id and release.alike_on_hub and cached(release.hub_id):
-            return fetch(release.hub_id)  # the same weights are here already
+        if not release.present and release.hub_id and _on_hub(release):
+            return fetch(release.hub_id)
         return download(release.url, release.path, name=name, progress=progress)
     if os.path.exists(path):  # Path.exists raises for a name that is too long for a file
         return _newest_checkpoint(path) or path

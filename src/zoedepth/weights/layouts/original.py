@@ -110,7 +110,7 @@ def write(config: ModelConfig, weights: Mapping[str, Tensor]) -> dict[str, Tenso
     problems += differences(fixed)
     if len(names) == 2 and names != tuple(DOMAINS):
         problems.append(f"domains {names} (the original has {tuple(DOMAINS)} only)")
-    # The file holds no config: the shapes alone must tell this model.
+    # The original's code reads no config: the shapes alone must tell it this model.
     if not problems:
         again = config_of(weights)
         ratio = shapes.attractors(again).attractor_ratio
