@@ -215,6 +215,19 @@ def test_processes_and_machines_arrive(
     assert asked == [(stage, *expected)]
 
 
+@pytest.mark.parametrize(("rank", "lines"), [(0, 1), (1, 0)])
+def test_the_first_of_several_processes_prints_the_checkpoint(
+    tiny_recipe: Callable[[str], None], trained: list[Trained], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str], rank: int, lines: int,
+) -> None:  # fmt: skip
+    tiny_recipe("metric")
+    monkeypatch.setattr("zoedepth.train.processes.several_processes", lambda: True)
+    monkeypatch.setattr("torch.distributed.get_rank", lambda: rank)
+    assert main(["train", "tiny", "--data", "indoor=a", "--out", str(tmp_path / "out")]) == 0
+    assert len(trained) == 1
+    assert len(capsys.readouterr().out.splitlines()) == lines
+
+
 @pytest.mark.parametrize("arguments", [["--help"], ["-h"]])
 def test_help_lists_the_recipes(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", *arguments]) == 0
@@ -368,7 +381,7 @@ class TestFinetune:
     @pytest.mark.parametrize(("options", "expected"), [([], (None, 1)), (["--devices", "2", "--nodes", "3"], (2, 3))])
     def test_processes_and_machines_arrive(
         self, tiny_recipe: Callable[[str], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str],
-        expected: tuple[int | None, int],
+        expected: tuple[int | None, int], capsys: pytest.CaptureFixture[str],
     ) -> None:  # fmt: skip
         tiny_recipe("metric")
         planned, asked = Plan(RECIPES["tiny"](), {}, {}, {}, "zoed-lite", (), ()), []
@@ -382,6 +395,10 @@ class TestFinetune:
         out = tmp_path / "out"
         assert main(["train", "finetune", "--data", "a", "--out", str(out), *options]) == 0
         assert asked == [(planned, out, *expected)]
+        assert str(out) in capsys.readouterr().out
+        monkeypatch.setattr("zoedepth.train.processes.is_first", lambda: False)
+        assert main(["train", "finetune", "--data", "a", "--out", str(out), *options]) == 0
+        assert capsys.readouterr().out == ""
 
     def test_help_shows_first_what_is_needed_most(self, capsys: pytest.CaptureFixture[str]) -> None:
         with pytest.raises(SystemExit):

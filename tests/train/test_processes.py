@@ -14,7 +14,7 @@ from zoedepth.cli import main
 from zoedepth.errors import InputError, MissingExtraError
 from zoedepth.train import processes
 from zoedepth.train.config import TrainConfig
-from zoedepth.train.processes import launch_fabric, resolve, several_processes, total
+from zoedepth.train.processes import launch_fabric, own_device, resolve, several_processes, total
 
 STEPS = 4
 COMMON = [
@@ -128,6 +128,15 @@ def test_precision_is_that_of_the_hardware_unless_given(
     assert resolve("auto") == expected
     assert resolve("16-mixed") == "16-mixed"
     assert resolve("32-true") == "32-true"
+
+
+def test_each_process_measures_on_a_gpu_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert own_device() == "cuda:0"
+    monkeypatch.setenv("LOCAL_RANK", "3")
+    assert own_device() == "cuda:3"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert own_device() == "auto"
 
 
 def test_total_of_one_process_is_the_tensor_itself() -> None:
