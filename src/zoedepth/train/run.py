@@ -106,7 +106,6 @@ def set_up(
     identity = identity_of({source.name: samples.samples for source, samples in training}, data, init, start=start)
     if finished:
         check_same(finished[-1], config, identity)
-        before = precision_of(finished[-1])
         model.provenance = _provenance_of(finished[-1])
     else:
         seen = {f"{source.name} ({len(tolerant)} pairs)": licence_of(tolerant.samples) for source, tolerant in training}
@@ -135,7 +134,8 @@ def set_up(
         tolerant = tuple(samples for _, samples in training)
         for problem in (problem for samples in tolerant for problem in samples.problems.values()):
             log.say(f"skipped: {problem}")
-        if finished and before not in (None, resolve(config.precision)):
+        before = precision_of(finished[-1]) if finished else None
+        if before not in (None, resolve(config.precision)):
             log.say(
                 f"warning: {before} was the precision until here, and this machine takes {resolve(config.precision)}: "
                 "the result is not that of one machine. Give --config.precision from the first command on"
