@@ -101,7 +101,7 @@ class TestMismatches:
             ("copies/other", "1", None),
             ("copies/other", "2", "with the model runs/kitchen, and this is copies/other"),
             ("copies/other", None, "with the model runs/kitchen, and this is copies/other"),
-            (None, "2", "other weights of the model"),
+            (None, "2", "other weights of runs/kitchen"),
         ],
     )
     def test_a_model_is_known_by_its_weights_where_both_say_them(
