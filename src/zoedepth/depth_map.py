@@ -210,6 +210,24 @@ class DepthMap:
             )
         return replace(found, domain=self.domain, focal_corrected=self.focal_correction != 1)
 
+    def mismatches(
+        self, calibration: Calibration, *, network: str | None = None, weights: str | None = None
+    ) -> tuple[str, ...]:
+        """Return the reasons for which a calibration does not hold for this depth map; none where it holds.
+
+        Args:
+            calibration: see ``calibrated``.
+            network: name of the model that made this depth; None does not compare it.
+            weights: hash of its weights, see ``weights.load.weights_of``; None does not compare them.
+        """
+        return calibration.mismatches(
+            camera=self.camera,
+            network=network,
+            domain=self.domain,
+            focal_corrected=self.focal_correction != 1,
+            weights=weights,
+        )
+
     def calibrated(
         self, calibration: Calibration, *, network: str | None = None, weights: str | None = None
     ) -> "DepthMap":
@@ -217,8 +235,8 @@ class DepthMap:
 
         Args:
             calibration: from ``calibrate``, or from a file (``calibration.read_calibration``).
-            network: name of the model that made this depth; None does not compare it.
-            weights: hash of its weights, see ``weights.load.weights_of``; None does not compare them.
+            network: see ``mismatches``.
+            weights: see ``mismatches``.
 
         Raises:
             InputError: the calibration is of another camera, model or scene type, was made with another correction by
@@ -226,14 +244,7 @@ class DepthMap:
         """
         if self.calibration is not None:
             raise InputError("this depth is calibrated already: calibrate the depth as the model gave it")
-        reasons = calibration.mismatches(
-            camera=self.camera,
-            network=network,
-            domain=self.domain,
-            focal_corrected=self.focal_correction != 1,
-            weights=weights,
-        )
-        if reasons:
+        if reasons := self.mismatches(calibration, network=network, weights=weights):
             raise InputError(f"the calibration does not hold for this photo: {'; '.join(reasons)}. Make one for it")
         near, far = calibration.apply(np.array([self.depth_range], np.float32))[0].tolist()
         return replace(

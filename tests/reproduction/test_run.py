@@ -85,15 +85,16 @@ def _kill(*_: object, **__: object) -> None:
     raise Killed
 
 
+def _diverge(*_: object, **__: object) -> None:
+    raise TrainingError("the loss is not finite")
+
+
 @pytest.mark.usefixtures("random_start")
 def test_training_that_does_not_converge_is_a_result(
     units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def diverge(config: TrainConfig, **_: object) -> Path:
-        raise TrainingError("the loss is not finite")
-
     monkeypatch.setattr(run, "train_relative", lambda config, **_: tmp_path)
-    monkeypatch.setattr(run, "train_metric", diverge)
+    monkeypatch.setattr(run, "train_metric", _diverge)
     said: list[str] = []
     found = run_unit(tmp_path, units[0], open_scored(data), say=said.append)
     assert found is not None
@@ -108,11 +109,8 @@ def test_training_that_does_not_converge_is_a_result(
 def test_pre_training_that_does_not_converge_is_no_result_of_the_row(
     units: list[Unit], data: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def diverge(config: TrainConfig, **_: object) -> Path:
-        raise TrainingError("the loss is not finite")
-
     unit = next(each for each in units if each.training and isinstance(each.training.start, Training))
-    monkeypatch.setattr(run, "train_relative", diverge)
+    monkeypatch.setattr(run, "train_relative", _diverge)
     said: list[str] = []
     assert run_unit(tmp_path, unit, open_scored(data), say=said.append) is None
     assert any("base" in line and "the loss is not finite" in line for line in said)

@@ -169,14 +169,7 @@ def calibrate(
             work, advice = f"adds readings to {out}", "type this again when it is done"
             stack.enter_context(only_one(out, work=work, advice=advice, wait_s=_WAIT_S))
             earlier = read_calibration(out)
-            reasons = earlier.mismatches(
-                camera=result.camera,
-                network=model,
-                domain=result.domain,
-                focal_corrected=result.focal_correction != 1,
-                weights=weights,
-            )
-            if reasons:
+            if reasons := result.mismatches(earlier, network=model, weights=weights):
                 raise InputError(
                     f"the readings in {out} cannot be taken together with those of {photo}: {'; '.join(reasons)}"
                 )

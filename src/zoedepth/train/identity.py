@@ -46,7 +46,7 @@ def same_start(first: object, second: object) -> bool:
 
     Weights that are gone by now agree by their name.
     """
-    if not (isinstance(first, list) and isinstance(second, list)) or len(first) != len(second):
+    if not (isinstance(first, list) and isinstance(second, list) and len(first) == len(second) == 2):
         return first == second
     (name, weights), (other_name, other_weights) = first, second
     return weights == other_weights if weights and other_weights else name == other_name
