@@ -322,3 +322,34 @@ def test_inputs_are_counted_in_the_background() -> None:
 def test_a_request_without_files_of_its_own_is_a_job_too(folder: Path, tmp_path: Path) -> None:
     assert run(folder, out=tmp_path / "out", request=Request("b", ()))[1].done == 4
     assert {Path(name).suffix for name in contents(tmp_path / "out")} == {".json"}
+
+
+def test_photos_of_one_name_typed_in_two_folders_do_not_replace_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    for seed, folder in enumerate(("one", "two")):
+        write_photo(tmp_path / folder / "a.png", size=(5, 8), seed=seed)
+    monkeypatch.chdir(tmp_path / "one")
+    assert run("a.png", out=out)[1].done == 1
+    before = contents(out)
+    monkeypatch.chdir(tmp_path / "two")
+    results, tally = run("a.png", out=out)
+    assert (tally.done, tally.failed) == (0, 1)
+    assert f"a.json is of {tmp_path / 'one' / 'a.png'}, another photo" in str(results[0].entry.error)
+    assert contents(out) == before
+    assert run("a.png", out=out, shard="0/1", overwrite=True)[1].failed == 1, "also where all is to be done again"
+    shutil.copyfile(tmp_path / "one" / "a.png", "a.png")
+    assert run("a.png", out=out)[1].done == 1, "a copy is the same photo"
+
+
+def test_a_photo_that_was_moved_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_photo(tmp_path / "one" / "a.png", size=(5, 8), seed=1)
+    monkeypatch.chdir(tmp_path / "one")
+    assert run("a.png", out=tmp_path / "out")[1].done == 1
+    (tmp_path / "one").rename(tmp_path / "two")
+    monkeypatch.chdir(tmp_path / "two")
+    assert run("a.png", out=tmp_path / "out")[1].done == 1
+    write_photo(tmp_path / "one" / "a.png", size=(5, 8), seed=2)  # another one in the old place
+    monkeypatch.chdir(tmp_path / "one")
+    assert run("a.png", out=tmp_path / "out")[1].failed == 1, "the files are of two/a.png by now"

@@ -145,6 +145,7 @@ class Manifest:
         )
         self._file: int | None = None
         self._reader: BinaryIO | None = None
+        self._knows_sidecars = False
         if path.exists():
             if not is_manifest(path):
                 raise InputError(f"{path} is not a manifest of zoedepth: move it, or choose another folder")
@@ -224,6 +225,22 @@ class Manifest:
             self._reader.seek(row[0])
             entry = parse_line(self._reader.readline(_MAX_LINE + 1))
         return entry if isinstance(entry, Entry) and entry.input == name else None
+
+    def input_of(self, sidecar: str) -> str | None:
+        """Return the last input of an earlier command that got this sidecar; None where there is none.
+
+        The first question reads the file of the manifest once more.
+
+        Args:
+            sidecar: its path relative to the job's folder.
+        """
+        if not self._knows_sidecars:
+            self._read_sidecars()
+        with self._lock:
+            row = self._database.execute("SELECT input FROM sidecars WHERE key = ?", (row_key(sidecar),)).fetchone()
+        if row is not None:
+            return row[0]
+        return None if self._whole is None else self._whole.input_of(sidecar)
 
     def current(self, fingerprint: str | None = None) -> Iterator[Entry]:
         """Yield the entries that hold: of each input that was done, its last success, and of others, a failure.
@@ -311,6 +328,20 @@ class Manifest:
         self.n_done, self.n_failed = (
             self._database.execute(count, {"run": self.counted, "done": done}).fetchone()[0] for done in (1, 0)
         )
+
+    def _read_sidecars(self) -> None:
+        with self._lock:
+            self._database.execute("CREATE TABLE sidecars (key BLOB PRIMARY KEY, input TEXT) WITHOUT ROWID")
+            self._database.execute("BEGIN")
+            for _, line in numbered_lines(self.path):
+                found = parse_line(line)
+                if isinstance(found, dict) and found.get("overwrite"):
+                    self._database.execute("DELETE FROM sidecars")
+                elif isinstance(found, Entry) and "sidecar" in found.outputs:
+                    row = (row_key(found.outputs["sidecar"][0]), found.input)
+                    self._database.execute("INSERT OR REPLACE INTO sidecars VALUES (?, ?)", row)
+            self._database.execute("COMMIT")
+            self._knows_sidecars = True
 
     def _keep(self, rows: list[_Row]) -> None:
         """Put lines into the index. A success stays, whatever fails after it by the same settings on the same input."""

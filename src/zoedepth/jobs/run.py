@@ -1,5 +1,7 @@
 """A job in this process: what is missing or failed is done, several inputs at a time."""
 
+import filecmp
+import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -8,11 +10,13 @@ from pathlib import PurePosixPath
 
 from zoedepth.batch import Request, in_turn
 from zoedepth.errors import InputError
-from zoedepth.jobs.destinations import Destination
+from zoedepth.jobs.destinations import Destination, LocalFolder
 from zoedepth.jobs.manifest import Manifest
 from zoedepth.jobs.origins import Held
 from zoedepth.jobs.work import Done, Input, do_photo
+from zoedepth.outputs.sidecar import ENDING
 from zoedepth.predict import Predictor
+from zoedepth.stored import readable, unreadable
 
 
 @dataclass
@@ -134,13 +138,40 @@ def missing(
     for item in inputs:
         entry = None if overwrite else manifest.find(item.name)
         if entry is None:
-            yield item
+            yield replace(item, rival=_rival(item, manifest, destination))
         elif item.state() != (entry.size, entry.version) or not destination.has(entry.outputs):
-            yield replace(item, own=tuple(PurePosixPath(file).name for file, _ in entry.outputs.values()))
+            own = tuple(PurePosixPath(file).name for file, _ in entry.outputs.values())
+            yield replace(item, own=own, rival=_rival(item, manifest, destination))
         elif tell_done:
             yield Done(item.name if item.origin else str(item.path), entry, before=True)
         else:
             tally.before += 1
+
+
+def _rival(item: Input, manifest: Manifest, destination: Destination) -> str | None:
+    """Return the photo whose files lie where those of an input go, if it is still there and another one.
+
+    So two photos of one relative path, each typed in a folder of its own, do not replace each other's depth. A photo
+    that is gone may have been moved to the input's place, and one with the same bytes was copied. Stores are not asked.
+    """
+    sidecar = f"{item.target}{ENDING}"
+    if not isinstance(destination, LocalFolder) or not os.path.lexists(destination.where(sidecar)):
+        return None
+    other = manifest.input_of(readable(sidecar))
+    if other is None or other == readable(item.name):
+        return None
+    path = unreadable(other)
+    if not os.path.exists(path.partition("::")[0]) or _equal(path, item.name):
+        return None
+    return other
+
+
+def _equal(one: str, other: str) -> bool:
+    """Return True for two files with the same bytes."""
+    try:
+        return filecmp.cmp(one, other, shallow=False)
+    except OSError:
+        return False
 
 
 def count_in_background(tally: Tally, count: Callable[[], Iterable[object]]) -> threading.Thread:

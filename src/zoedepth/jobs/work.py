@@ -10,6 +10,7 @@ from zoedepth.batch import NamedBytes, Origin, Outcome, Photo, Request, files_of
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Entry
+from zoedepth.outputs.sidecar import ENDING
 from zoedepth.predict import Predictor
 
 
@@ -33,6 +34,9 @@ class Input:
     """A value that changes with the content of a photo that is no file; None where its store has none."""
     own: tuple[str, ...] = ()
     """Names of files that the manifest knows to be this photo's, from an earlier command."""
+    rival: str | None = None
+    """The name of another photo, which is still there, whose files the manifest knows to lie in the place of this
+    one's."""
 
     def opened(self) -> Path | NamedBytes:
         """Return the photo for a reader: its path, or all of its bytes.
@@ -110,6 +114,9 @@ def _written(
     request: Request,
     destination: Destination,
 ) -> tuple[Outcome, dict[str, tuple[str, int]]]:
+    if photo.rival is not None:
+        sidecar = destination.where(f"{photo.target}{ENDING}")
+        raise InputError(f"{sidecar} is of {photo.rival}, another photo: choose another --out")
     if reason := destination.blocked(asked, request, own=photo.own):
         raise InputError(reason)
     maps = predict_maps(asked, predictor, request)
