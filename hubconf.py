@@ -23,6 +23,7 @@ def ZoeD_N(  # the original's name
     midas_model_type: str = "DPT_BEiT_L_384",
     config_mode: str = "infer",
     compat: tuple[str, ...] = (),
+    **options: object,
 ) -> "_torchhub.OriginalInterface":
     """Indoor: one head, fine-tuned on NYU Depth v2.
 
@@ -31,7 +32,9 @@ def ZoeD_N(  # the original's name
         midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x512.
         compat: behaviours of the original to take over: ("squeeze",), see zoedepth.presets.COMPAT.
+        options: further options of the original; those that would change the network are refused.
     """
+    _torchhub.check_options(options, config_mode=config_mode)
     return _torchhub.build(
         "zoed-m12-n",
         pretrained=pretrained,
@@ -46,6 +49,7 @@ def ZoeD_K(
     midas_model_type: str = "DPT_BEiT_L_384",
     config_mode: str = "infer",
     compat: tuple[str, ...] = (),
+    **options: object,
 ) -> "_torchhub.OriginalInterface":
     """Driving: one head, fine-tuned on KITTI, up to 80 m. compat=("10m",) gives the 10 m of the original's entry point.
 
@@ -54,7 +58,9 @@ def ZoeD_K(
         midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x768.
         compat: behaviours of the original to take over: ("10m", "squeeze"), see zoedepth.presets.COMPAT.
+        options: further options of the original; those that would change the network are refused.
     """
+    _torchhub.check_options(options, config_mode=config_mode)
     return _torchhub.build(
         "zoed-m12-k",
         pretrained=pretrained,
@@ -69,6 +75,7 @@ def ZoeD_NK(
     midas_model_type: str = "DPT_BEiT_L_384",
     config_mode: str = "infer",
     compat: tuple[str, ...] = (),
+    **options: object,
 ) -> "_torchhub.OriginalInterface":
     """Indoor and driving: two heads and a router, which gives every photo of a batch its own head.
 
@@ -77,7 +84,9 @@ def ZoeD_NK(
         midas_model_type: encoder; the released weights are for "DPT_BEiT_L_384".
         config_mode: "infer" keeps the photo's proportions, "eval" and "train" squeeze it to 384x512.
         compat: behaviours of the original to take over: ("batch-vote", "squeeze"), see zoedepth.presets.COMPAT.
+        options: further options of the original; those that would change the network are refused.
     """
+    _torchhub.check_options(options, config_mode=config_mode)
     return _torchhub.build(
         "zoed-m12-nk",
         pretrained=pretrained,

@@ -2,6 +2,8 @@
 
 import dataclasses
 import math
+import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ from PIL import Image
 
 from zoedepth.calibration import Distance, Point, read_calibration, write_calibration
 from zoedepth.depth_map import DepthMap
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.lens import Lens
 from zoedepth.stored import read_depth
@@ -227,6 +229,19 @@ def test_save_writes_in_the_format_of_the_suffix(tmp_path: Path) -> None:
         assert picture.size == result.preview().shape[1::-1]
     with pytest.raises(InputError, match=r"depth\.txt"):
         result.save(tmp_path / "depth.txt")
+
+
+def test_another_scale_than_millimetres_is_told_unless_it_was_asked_for(tmp_path: Path) -> None:
+    far = depth_map()
+    far.depth[0, 0] = 70.0
+    with pytest.warns(InputWarning, match=r"far\.png: beyond 65\.535 m: the PNG has 256 levels per metre"):
+        far.save(tmp_path / "far.png")
+    with pytest.warns(InputWarning, match=r"far\.png: clipped: too far for the scale"):
+        far.save(tmp_path / "far.png", scale=1000)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        far.save(tmp_path / "far.png", scale=256)
+        far.save(tmp_path / "far.exr" if find_spec("OpenEXR") else tmp_path / "far.npy")
 
 
 def test_a_map_without_std_saves_depth_alone(tmp_path: Path) -> None:

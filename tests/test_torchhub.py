@@ -295,6 +295,16 @@ class TestEntries:
                 | arguments,
             )
 
+    @pytest.mark.parametrize("entry", ENTRIES)
+    def test_further_options_of_the_original_are_refused_by_name(self, entry: str, tiny_presets):
+        def load(**options: object) -> object:
+            return torch.hub.load(str(REPO), entry, source="local", **options)
+
+        load(train_midas=False, use_pretrained_midas=False, force_keep_ar=True)
+        for option in ({"img_size": [384, 512]}, {"train_midas": True}, {"n_bins": 32}):
+            with pytest.raises(InputError, match=f"{next(iter(option))} cannot be set here"):
+                load(**option)
+
     def test_other_encoders_of_midas(self, monkeypatch: pytest.MonkeyPatch):
         """Their configs; with random weights, as in the original."""
         with without_memory():

@@ -1,6 +1,7 @@
 """The depth of one photo: metres, how sure they are, what can be measured in it, and the files it can be written as."""
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Float, Float32
 
 from zoedepth import colors
 from zoedepth.calibration import Calibration, Distance, Form, Point, calibrate
-from zoedepth.errors import InputError
+from zoedepth.errors import InputError, InputWarning
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import Mesh, build_mesh
 from zoedepth.geometry.normals import estimate_normals
@@ -285,14 +286,20 @@ class DepthMap:
 
         Args:
             path: where to write; missing folders are made.
-            scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m.
+            scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m. Give it
+                where other programs expect one scale of all files.
             max_triangles: triangles of a .glb, .usdz or .html, at most. None keeps all, one or two for each pixel.
+
+        Warns:
+            InputWarning: a PNG has 256 levels per metre, because the depth exceeds 65.535 m; or depth was clipped.
 
         Raises:
             InputError: another suffix, or there is nothing to make points or a surface of.
             MissingExtraError: a library that the format needs is not installed.
         """
-        write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
+        written = write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
+        for note in written.notes:
+            warnings.warn(f"{path}: {note}", InputWarning, stacklevel=2)
 
     def _pixel(self, x: float, y: float) -> tuple[int, int]:
         """Return the (row, column) of the pixel at x and y, one whose depth is valid."""

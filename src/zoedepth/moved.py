@@ -1,6 +1,7 @@
-"""Old names of this package's modules. They can still be imported, with a warning that says the new name.
+"""Old names of this package's modules, and names of isl-org/ZoeDepth's modules, which is imported as zoedepth, too.
 
-They go with version 0.2. New modules are never added here.
+Old names can still be imported, with a warning that says the new name, and go with version 0.2. Names of the original
+that its README imports stay; others of its names say where to look.
 """
 
 import importlib
@@ -40,6 +41,13 @@ NAMES = {
 """(Module, old name in it) → (module, name) of today."""
 
 
+ORIGINAL = ("zoedepth.models.builder", "zoedepth.utils.config", "zoedepth.utils.misc")
+"""Modules of the original whose functions ``zoedepth.original`` has."""
+
+_ORIGINALS = ("zoedepth.models", "zoedepth.utils", "zoedepth.trainers")
+_ORIGINAL_HOME = "zoedepth.original"
+
+
 class _Finder(MetaPathFinder, Loader):
     """Finds the old names. It is asked first: in a package that was moved, Python would find files of its own accord,
     and make second modules of them."""
@@ -48,14 +56,27 @@ class _Finder(MetaPathFinder, Loader):
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return how to import a module under its old name; None where it is none."""
+        if fullname in ORIGINAL:
+            return ModuleSpec(fullname, self, origin=_ORIGINAL_HOME)
+        if any(name.startswith(f"{fullname}.") for name in ORIGINAL):
+            return ModuleSpec(fullname, self, is_package=True)
+        if any(f"{fullname}.".startswith(f"{name}.") for name in _ORIGINALS):
+            raise ModuleNotFoundError(
+                f"{fullname} is a module of isl-org/ZoeDepth, which this package replaces: there are "
+                f"{', '.join(ORIGINAL)} for programs that import them; for others docs/switching.md says what to use",
+                name=fullname,
+            )
         return ModuleSpec(fullname, self, origin=new) if (new := _new_name(fullname)) else None
 
     def exec_module(self, module: ModuleType) -> None:
         """Put the module of today in place of the empty one that was made for the old name."""
         assert module.__spec__ is not None
-        old, new = module.__spec__.name, str(module.__spec__.origin)
+        if module.__spec__.origin is None:  # a package of the original, with nothing in it but its modules
+            return
+        old, new = module.__spec__.name, module.__spec__.origin
         sys.modules[old] = importlib.import_module(new)
-        _warn(old, new, stacklevel=3)  # the importing line: warnings do not count importlib's own frames
+        if new != _ORIGINAL_HOME:
+            _warn(old, new, stacklevel=3)  # the importing line: warnings do not count importlib's own frames
 
 
 def moved_name(module: str, name: str) -> object:

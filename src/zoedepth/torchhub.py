@@ -1,6 +1,7 @@
 """The original's interface to a model, for its ``torch.hub`` users. ``hubconf.py`` builds on it."""
 
 import hashlib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlparse
@@ -39,8 +40,9 @@ MIDAS_MODELS = {
 class OriginalInterface(nn.Module):
     """ZoeDepth with the methods, defaults and units of the original's ``depth_model.py``.
 
-    Four things differ: each photo of a batch takes its own head, 16-bit values are clipped and do not wrap around,
-    ``forward`` returns the relative depth that it promises, and the model is in evaluation mode.
+    Five things differ: each photo of a batch takes its own head, and its mirror image the same one; 16-bit values are
+    clipped and do not wrap around; ``forward`` returns the relative depth that it promises; and the model is in
+    evaluation mode.
 
     The original knows no cameras, and depth is that of the training photos' camera here. Use ``Predictor`` for models
     that were trained in one canonical camera.
@@ -180,6 +182,23 @@ def build(
             f"{_kind(config)}. Use the entry point of its kind"
         )
     return OriginalInterface(model)
+
+
+def check_options(options: Mapping[str, object], *, config_mode: str) -> None:
+    """Refuse further options of the original's entry points, unless they ask for what is done in any case.
+
+    The original handed every option on, and swallowed those that it did not know.
+
+    Raises:
+        InputError: an option would change the network, or is unknown.
+    """
+    done = {"train_midas": False, "use_pretrained_midas": False, "force_keep_ar": config_mode == "infer"}
+    if refused := [name for name, value in options.items() if name not in done or value != done[name]]:
+        raise InputError(
+            f"{', '.join(refused)} cannot be set here: released weights fit the released configuration alone. For "
+            "another network, change a configuration of zoedepth.PRESETS by dataclasses.replace, give it to "
+            "zoedepth.build_model, and train it with `zoedepth train`"
+        )
 
 
 def _load(source: str, compat: tuple[str, ...]) -> DepthModel:

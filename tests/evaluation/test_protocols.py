@@ -153,7 +153,7 @@ def test_released_code_differs_from_the_paper_where_it_is_documented(name: str, 
     found = {key: value for key, value in released.items() if value != paper[key]}
     decoded_otherwise = found.pop("decoding", None) is not None
     assert found == {"name": f"{name}-released", **differences}
-    assert decoded_otherwise == (name in ("sunrgbd", "hypersim", "vkitti2"))
+    assert decoded_otherwise == (name in ("hypersim", "vkitti2"))
 
 
 def test_domains_have_the_protocols_of_nyu_and_kitti() -> None:

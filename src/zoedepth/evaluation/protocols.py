@@ -98,7 +98,8 @@ _RELEASED = {
     # Differences of the released code (``data_mono.py``, ``config.py``, ``misc.py::compute_metrics``) from the paper.
     # "eigen" is rows 45 to 470 and columns 41 to 600, whatever the size of the picture.
     "nyu": {},
-    "sunrgbd": {"min_depth": 0.0, "crop": "eigen", "decoding": "16-bit PNG, millimetres; beyond 8 m unknown"},
+    # SUN RGB-D is not read in millimetres, as the released loader does, which makes the linked files 10 times too far.
+    "sunrgbd": {"min_depth": 0.0, "crop": "eigen"},
     "ibims": {"min_depth": 0.0},
     "diode-indoor": {"crop": "eigen", "use_mask": False, "photo_short_side": 480, "photo_antialias": False},
     "hypersim": {"crop": "eigen", "photo_size": (480, 640), "photo_antialias": False,
