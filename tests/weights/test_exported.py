@@ -528,3 +528,10 @@ def test_8_bits_that_are_cut_off_are_said(
     assert caplog.text.count("cuts off their sums (it has no VNNI)") == 1
     depth = model.run({INPUT: np.ones((1, 3, 64, 64), np.float32)}, std=True)["predicted_depth"]
     assert np.allclose(depth, 127 * 96, rtol=0.01)
+
+
+@pytest.mark.parametrize("name", ["model.onnx", "model.xml"])
+def test_float16_is_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(InputError, match=rf"float16 is for models of torch on a GPU: load .*{name} in float32"):
+        load_exported(tmp_path / name, precision="float16")

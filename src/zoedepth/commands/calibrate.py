@@ -56,7 +56,7 @@ def calibrate(
     focal_correction: Literal["model", "yes", "no"] = "model",
     compat: tuple[str, ...] = (),
     device: str = "auto",
-    precision: Literal["float32", "bfloat16"] = "float32",
+    precision: Literal["float32", "bfloat16", "float16"] = "float32",
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
     """Put the metres of a photo right by what was measured in it, and keep that for all photos of its camera.
@@ -99,7 +99,7 @@ def calibrate(
             checkpoints of baselines.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
-        precision: bfloat16 is faster on hardware made for it.
+        precision: bfloat16 is faster on hardware made for it; float16 is for GPUs.
         json_: print one JSON object, the calibration, and nothing else.
     """
     if undo:

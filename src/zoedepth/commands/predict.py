@@ -90,7 +90,7 @@ def predict(
     colormap: str = "magma_r",
     max_triangles: int = 500_000,
     device: str = "auto",
-    precision: Literal["float32", "bfloat16"] = "float32",
+    precision: Literal["float32", "bfloat16", "float16"] = "float32",
     fast: bool = False,
     workers: int | None = None,
     overwrite: bool = False,
@@ -150,7 +150,7 @@ def predict(
         max_triangles: triangles of a mesh (--save glb), at most; 0 keeps all, one or two for each pixel.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
-        precision: bfloat16 is faster on hardware made for it.
+        precision: bfloat16 is faster on hardware made for it; float16 is for GPUs.
         fast: compute with the runtime that `zoedepth benchmark` found fastest here; where it was not run, choose by
             what docs/performance.md measured. The depth is within 1 %. The first time exports the model to the user's
             cache.
@@ -350,7 +350,7 @@ def _load(
     relative: bool,
     compat: tuple[str, ...],
     device: str,
-    precision: Literal["float32", "bfloat16"],
+    precision: Literal["float32", "bfloat16", "float16"],
     streams: int,
     console: Console,
 ) -> "tuple[DepthModel | ExportedModel, Precision, str]":

@@ -28,7 +28,7 @@ def serve(
     threads: int | None = None,
     batch_size: int | None = None,
     device: str = "auto",
-    precision: Literal["float32", "bfloat16"] = "float32",
+    precision: Literal["float32", "bfloat16", "float16"] = "float32",
     token_file: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
     allow_host: tuple[str, ...] = (),
     allow_origin: tuple[str, ...] = (),
@@ -58,7 +58,7 @@ def serve(
         batch_size: photos of one size that go through a model together; without it 8 on an accelerator, 1 on the CPU.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
-        precision: bfloat16 is faster on hardware made for it.
+        precision: bfloat16 is faster on hardware made for it; float16 is for GPUs.
         token_file: file with a token that every request must bring (Authorization: Bearer TOKEN). The variable
             ZOEDEPTH_TOKEN of the environment says one, too.
         allow_host: names by which the service may be called, beside localhost and addresses in numbers.

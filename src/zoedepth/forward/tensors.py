@@ -4,7 +4,8 @@ import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from threading import Lock
 from typing import Literal
 
 import numpy as np
@@ -33,6 +34,8 @@ class TensorForward:
     flip_average: bool
     upsampling: Literal["bicubic", "bilinear"]
     precision: Precision
+    _turn: Lock = field(default_factory=Lock, repr=False, compare=False)
+    """Held by the thread whose photos are on the accelerator: many at once would need its memory many times."""
 
     def predict(self, photos: Photos, head: int | None, *, batch_size: int) -> list[Answer]:
         """Predict photos: on an accelerator, those of one network size together; on the CPU, each on cores of its own.
@@ -91,11 +94,12 @@ class TensorForward:
 
     @torch.inference_mode()
     def _predict(self, images: Sequence[ImageArray], size: tuple[int, int], head: int | None) -> list[Answer]:
-        """Predict photos that share a network size."""
-        pixels = torch.cat([self._to_network(self._pixels(image), size) for image in images])
-        given = None if head is None else torch.full((len(images),), head, device=pixels.device)
-        output = self._run(pixels, given)
-        return [self._answer(image, _rows(output, slice(row, row + 1))) for row, image in enumerate(images)]
+        """Predict photos that share a network size. On an accelerator, threads take turns."""
+        with nullcontext() if self.model.device.type == "cpu" else self._turn:
+            pixels = torch.cat([self._to_network(self._pixels(image), size) for image in images])
+            given = None if head is None else torch.full((len(images),), head, device=pixels.device)
+            output = self._run(pixels, given)
+            return [self._answer(image, _rows(output, slice(row, row + 1))) for row, image in enumerate(images)]
 
     @property
     def _one_by_one(self) -> bool:

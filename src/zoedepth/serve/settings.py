@@ -60,7 +60,7 @@ class Settings:
     """Models as ``load_model`` takes them; clients choose among these by name, and the first is the default."""
     device: str = "auto"
     """Device of all models, see ``Predictor``."""
-    precision: Literal["float32", "bfloat16"] = "float32"
+    precision: Literal["float32", "bfloat16", "float16"] = "float32"
     """Number type that the models compute in, see ``Predictor``."""
     threads: int | None = None
     """Photos that are computed at the same time; None: a core for each on the CPU."""

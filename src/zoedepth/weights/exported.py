@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 METADATA = "zoedepth"
 """Key in the file's metadata of a JSON text with config, preprocessing and version."""
-Precision = Literal["float32", "bfloat16"]
+Precision = Literal["float32", "bfloat16", "float16"]
 
 
 class ExportedModel(ABC):
@@ -395,12 +395,15 @@ def load_exported(
             "auto". OpenVINO files run on the CPU.
 
     Raises:
-        InputError: there is no such file, it is of another kind, or ``zoedepth export`` did not make it.
+        InputError: there is no such file, it is of another kind, ``zoedepth export`` did not make it, or the precision
+            is float16, which models of torch have on a GPU.
         MissingExtraError: the runtime is not installed.
     """
     path = Path(path)
     if not path.is_file():
         raise InputError(f"there is no file {path}")
+    if precision == "float16":
+        raise InputError(f"float16 is for models of torch on a GPU: load {path} in float32 or bfloat16")
     threads = threads or thread_count()
     if path.suffix.lower() == ".onnx":
         return OnnxModel(path, threads=threads, device=device)
