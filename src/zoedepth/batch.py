@@ -524,7 +524,9 @@ def write_drafts(
     """
     draft = Photo(photo.path, folder / photo.target.name)
     files = files_of(draft, request)
-    written = {name: OUTPUTS[name].write(files[name], predicted.maps, request.options) for name in request.names}
+    options = request.options
+    shown = predicted.maps.up_to(options.max_depth)
+    written = {name: OUTPUTS[name].write(files[name], shown, options) for name in request.names}
     sidecar = {
         **sidecars.describe(
             predicted.maps,
@@ -532,6 +534,7 @@ def write_drafts(
             facts={key: value for output in written.values() for key, value in output.facts.items()},
             files={name: files[name].name for name in written},
         ),
+        **({} if options.max_depth is None else {"max_depth": options.max_depth}),
         **({"other_files": list(earlier)} if earlier else {}),
         "zoedepth": __version__,
         "seconds": round(predicted.seconds, 3),

@@ -1,7 +1,6 @@
 """The depth of one photo: metres, how sure they are, what can be measured in it, and the files it can be written as."""
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,13 +12,13 @@ from jaxtyping import Bool, Float, Float32
 
 from zoedepth import colors
 from zoedepth.calibration import Calibration, Distance, Form, Point, calibrate
-from zoedepth.errors import InputError, InputWarning
+from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.mesh import Mesh, build_mesh
 from zoedepth.geometry.normals import estimate_normals
 from zoedepth.geometry.points import unproject
 from zoedepth.images import DepthArray, ImageArray
-from zoedepth.outputs import Maps, Options, write_maps
+from zoedepth.outputs import Maps, Options, save_maps
 
 
 class DepthAt(NamedTuple):
@@ -272,7 +271,12 @@ class DepthMap:
         return colors.preview(self.image, self.depth, vmin=vmin, vmax=vmax, colormap=colormap)
 
     def save(
-        self, path: str | Path, *, scale: float | None = None, max_triangles: int | None = Options.max_triangles
+        self,
+        path: str | Path,
+        *,
+        scale: float | None = None,
+        max_triangles: int | None = Options.max_triangles,
+        max_depth: float | None = None,
     ) -> None:
         """Write the depth in the format of the suffix, whole or not at all.
 
@@ -289,6 +293,7 @@ class DepthMap:
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the depth exceeds 65.535 m. Give it
                 where other programs expect one scale of all files.
             max_triangles: triangles of a .glb, .usdz or .html, at most. None keeps all, one or two for each pixel.
+            max_depth: metres beyond which a pixel makes no point and no surface, as for the sky; None keeps all.
 
         Warns:
             InputWarning: a PNG has 256 levels per metre, because the depth exceeds 65.535 m; or depth was clipped.
@@ -297,9 +302,7 @@ class DepthMap:
             InputError: another suffix, or there is nothing to make points or a surface of.
             MissingExtraError: a library that the format needs is not installed.
         """
-        written = write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
-        for note in written.notes:
-            warnings.warn(f"{path}: {note}", InputWarning, stacklevel=2)
+        save_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles, max_depth=max_depth))
 
     def _pixel(self, x: float, y: float) -> tuple[int, int]:
         """Return the (row, column) of the pixel at x and y, one whose depth is valid."""

@@ -27,7 +27,7 @@ from zoedepth.geometry.panorama import (
     sharp_height,
 )
 from zoedepth.images import DepthArray, ImageArray, read_image, read_photo_notes, read_stored_size, to_image
-from zoedepth.outputs import Maps, Options, write_maps
+from zoedepth.outputs import Maps, Options, save_maps
 from zoedepth.predict import Predictor
 
 _TOLERATED = 1.2  # a panorama is reduced where its pixels are so many times finer than those of the views
@@ -94,7 +94,12 @@ class PanoramaMap:
         return colors.preview(self.image, self.distance, vmin=vmin, vmax=vmax, colormap=colormap)
 
     def save(
-        self, path: str | Path, *, scale: float | None = None, max_triangles: int | None = Options.max_triangles
+        self,
+        path: str | Path,
+        *,
+        scale: float | None = None,
+        max_triangles: int | None = Options.max_triangles,
+        max_depth: float | None = None,
     ) -> None:
         """Write the distances in the format of the suffix, whole or not at all, as ``DepthMap.save`` does.
 
@@ -106,12 +111,16 @@ class PanoramaMap:
             path: where to write; missing folders are made.
             scale: PNG levels per metre. None is 1000 (millimetres), or 256 where the distance exceeds 65.535 m.
             max_triangles: triangles of a .glb, .usdz or .html, at most. None keeps all, two for each pixel.
+            max_depth: metres beyond which a pixel makes no point and no surface, as for the sky; None keeps all.
+
+        Warns:
+            InputWarning: see ``DepthMap.save``.
 
         Raises:
             InputError: another suffix, or there is nothing to make points or a surface of.
             MissingExtraError: a library that the format needs is not installed.
         """
-        write_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles))
+        save_maps(path, self.maps, Options(png_scale=scale, max_triangles=max_triangles, max_depth=max_depth))
 
 
 def predict_panorama(predictor: Predictor, image: Any, *, domain: str | None = None) -> PanoramaMap:

@@ -1,6 +1,7 @@
 """Files that were written with a calibration are put back to what the model says."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -28,10 +29,15 @@ def photo(tmp_path: Path) -> Path:
 
 
 def write(
-    photo: Path, out: Path, model: ZoeDepth, calibration: Calibration | None, outputs: tuple[str, ...] = OUTPUTS
+    photo: Path,
+    out: Path,
+    model: ZoeDepth,
+    calibration: Calibration | None,
+    outputs: tuple[str, ...] = OUTPUTS,
+    max_depth: float | None = None,
 ) -> Path:
     """Predict a photo, and return its sidecar."""
-    request = Request("tiny", outputs, calibration=calibration)
+    request = Request("tiny", outputs, Options(max_depth=max_depth), calibration=calibration)
     (outcome,) = predict_all(find_photos([str(photo)], out).photos, Predictor(model, flip_average=False), request)
     assert outcome.failure is None
     return out / "photo.json"
@@ -83,6 +89,28 @@ def test_all_files_are_as_without_the_calibration(
     assert mine["depth_range"] == pytest.approx(theirs["depth_range"])
     differing = {key for key in mine if mine[key] != theirs[key]}
     assert differing <= {"depth", "depth_range", "seconds", "color_range", "median_confidence"}
+
+
+def test_points_end_where_they_ended(photo: Path, tmp_path: Path, tiny_model: ZoeDepth) -> None:
+    plain = write(photo, tmp_path / "plain", tiny_model, None)
+    with np.load(plain.with_name("photo.npz")) as arrays:
+        end = float(np.median(arrays["depth"][arrays["valid"]])) + 1e-3
+    cut = write(photo, tmp_path / "cut", tiny_model, None, max_depth=end)
+    sidecar = write(photo, tmp_path / "calibrated", tiny_model, Calibration(scale=1.7), max_depth=1.7 * end)
+    undo_files(sidecar)
+    values = [read_sidecar(path) for path in (plain, cut, sidecar)]
+    assert [None if each is None else each.get("max_depth") for each in values] == [
+        None, pytest.approx(end), pytest.approx(end, rel=1e-5),
+    ]  # fmt: skip
+    assert values[0] is not None
+    assert values[1] is not None
+    assert values[1]["depth_range"] == values[0]["depth_range"], "the range is the model's"
+    n_points = [
+        int(re.search(rb"element vertex (\d+)", path.with_name("photo.ply").read_bytes()).group(1))
+        for path in (plain, cut, sidecar)
+    ]
+    assert n_points[0] > n_points[1]
+    assert abs(n_points[1] - n_points[2]) <= 1  # a point at the very end, by rounding
 
 
 def test_a_png_alone_is_enough(photo: Path, tmp_path: Path, tiny_model: ZoeDepth) -> None:

@@ -54,6 +54,19 @@ def test_points_of_a_photo(capsys: pytest.CaptureFixture[str]) -> None:
     assert facts("folder/page.html") == {"kind": "ply", "up": "-y", "place": "photo"}
 
 
+def test_what_is_too_far_is_not_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    photo = write_photo("photo.png")
+    sizes = []
+    for end in ((), ("--max-depth", "1000")):
+        assert main(["view", photo, "--cloud", *end]) == 0
+        sizes.append(Path("photo.html").stat().st_size)
+    assert sizes[0] == sizes[1]
+    assert main(["view", photo, "--cloud", "--max-depth", "0.01"]) == 2
+    assert "no pixel has a depth that makes a point" in capsys.readouterr().err
+    assert main(["view", photo, "--max-depth", "0"]) == 2
+    assert "points end at a distance above 0 m (--max-depth" in capsys.readouterr().err
+
+
 def test_panoramas_are_asked_for_or_known_by_their_notes() -> None:
     assert main(["view", write_photo("around.png", (32, 64)), "--panorama"]) == 0
     assert facts("around.html")["place"] == "around"
@@ -97,8 +110,8 @@ def test_what_cannot_be_is_said(arguments: list[str], message: str, capsys: pyte
 
 def test_options_of_photos_are_not_for_files(capsys: pytest.CaptureFixture[str]) -> None:
     Path("shape.ply").write_bytes(b"ply\n")
-    for option in ("--cloud", "--panorama"):
-        assert main(["view", "shape.ply", option]) == 2
+    for option in (["--cloud"], ["--panorama"], ["--max-depth", "3"]):
+        assert main(["view", "shape.ply", *option]) == 2
         assert "are for photos" in capsys.readouterr().err
 
 

@@ -32,6 +32,7 @@ def of(model: ZoeDepth, request: Request | None = None, predictor: Predictor | N
         Request("a", tiles="auto"),
         Request("a", tiles=(2, 3)),
         Request("a", options=Options(vmax=9.0)),
+        Request("a", options=Options(max_depth=9.0)),
         Request("a", calibration=Calibration(1.5)),
     ],
 )
@@ -55,6 +56,13 @@ def test_every_option_of_the_predictor_is_another_job(
     tiny_model: ZoeDepth, predictor: Callable[[ZoeDepth], Predictor]
 ) -> None:
     assert of(tiny_model, predictor=predictor(tiny_model)) != of(tiny_model)
+
+
+def test_options_that_are_new_do_not_change_the_jobs_from_before(tiny_model: ZoeDepth) -> None:
+    settings = job_settings(Request("a"), Predictor(tiny_model), weights="1")
+    assert settings["options"] == {
+        "png_scale": None, "vmin": None, "vmax": None, "colormap": "magma_r", "max_triangles": 500_000,
+    }  # fmt: skip
 
 
 def test_names_of_the_model_and_of_outputs_do_not_matter(tiny_model: ZoeDepth) -> None:

@@ -85,6 +85,22 @@ def test_depth_is_valid_where_it_is_finite_and_in_its_range() -> None:
     assert Maps(relative=RAMP).valid is None
 
 
+def test_what_is_too_far_makes_no_points_and_keeps_its_depth(tmp_path: Path) -> None:
+    end = float(RAMP[1, 1])
+    maps = Maps(depth=RAMP, image=IMAGE, camera=CAMERA)
+    assert maps.up_to(None) is maps
+    np.testing.assert_array_equal(maps.up_to(end).valid, maps.valid & (end >= RAMP))
+    assert maps.up_to(1e9).depth_range == (0.0, 1e9)
+    assert Maps(depth=RAMP, depth_range=(0.1, 2.0)).up_to(1e9).depth_range == (0.1, 2.0)
+    write_maps(tmp_path / "all.npz", maps, Options(max_depth=end))
+    with np.load(tmp_path / "all.npz") as arrays:
+        np.testing.assert_array_equal(arrays["depth"], RAMP)
+        np.testing.assert_array_equal(arrays["valid"], maps.valid & (end >= RAMP))
+    for wrong in (0.0, -1.0, np.inf, np.nan):
+        with pytest.raises(InputError, match=r"above 0 m \(--max-depth, max_depth=\), got"):
+            Options(max_depth=wrong)
+
+
 def test_panoramas_become_points_and_a_surface_all_around(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     distance = np.full((20, 40), 2, np.float32)

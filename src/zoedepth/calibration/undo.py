@@ -66,12 +66,16 @@ def undo_files(sidecar: Path) -> list[Path]:
     farthest = depth[np.isfinite(depth)].max(initial=0)
     fits = scale is not None and farthest * scale <= PNG_MAX
     options = Options(png_scale=scale if fits else None)  # what is farther than before may not be clipped
+    told_end = values.get("max_depth")
+    end = calibration.undo(np.array([[told_end]], np.float32)).item() if isinstance(told_end, int | float) else None
+    shown = maps.up_to(end)
     with TemporaryDirectory(prefix=".", dir=sidecar.parent) as drafts:
-        written = {name: OUTPUTS[name].write(Path(drafts, file.name), maps, options) for name, file in files.items()}
+        written = {name: OUTPUTS[name].write(Path(drafts, file.name), shown, options) for name, file in files.items()}
         facts = {key: value for output in written.values() for key, value in output.facts.items()}
         told = sidecars.describe(maps, origin={}, facts=facts, files=values["files"])
         kept = {key: value for key, value in values.items() if key != "calibration"}
-        sidecars.write_sidecar(Path(drafts, sidecar.name), {**kept, **told})
+        ends = {} if end is None else {"max_depth": end}
+        sidecars.write_sidecar(Path(drafts, sidecar.name), {**kept, **told, **ends})
         replaced = [*files.values(), sidecar]
         for file in replaced:
             Path(drafts, file.name).replace(file)

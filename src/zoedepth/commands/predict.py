@@ -89,6 +89,7 @@ def predict(
     vmax: float | None = None,
     colormap: str = "magma_r",
     max_triangles: int = 500_000,
+    max_depth: float | None = None,
     device: str = "auto",
     precision: Literal["float32", "bfloat16", "float16"] = "float32",
     fast: bool = False,
@@ -148,6 +149,8 @@ def predict(
         vmax: depth of the last colour in metres; without it, from each photo.
         colormap: magma, turbo, gray or Spectral, reversed with _r at the end.
         max_triangles: triangles of a mesh (--save glb), at most; 0 keeps all, one or two for each pixel.
+        max_depth: metres beyond which a pixel makes no point and no surface (--save ply, pcd, glb, usdz, html), as for
+            the sky. Maps of depth keep theirs.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
         precision: bfloat16 is faster on hardware made for it; float16 is for GPUs.
@@ -196,7 +199,7 @@ def predict(
         raise InputError("--fast chooses for this machine, and --engine ray computes on others: leave one of them out")
     if engine == "ray" and out == STREAM:
         raise InputError("--out - is for one photo: leave --engine out")
-    options = Options(png_scale=png_scale, vmin=vmin, vmax=vmax, colormap=colormap, max_triangles=max_triangles or None)
+    options = Options(png_scale, vmin, vmax, colormap, max_triangles or None, max_depth)
 
     streamed = out == STREAM
     part = JobShard() if shard is None else JobShard.parse(shard)

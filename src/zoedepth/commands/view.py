@@ -7,6 +7,7 @@ import tyro
 from rich.console import Console
 
 from zoedepth.errors import InputError
+from zoedepth.outputs import Options
 from zoedepth.outputs.html import write_page_of_file, write_page_of_maps
 from zoedepth.outputs.ownership import require_own_mark
 
@@ -21,6 +22,7 @@ def view(
     panorama: bool = False,
     max_triangles: int = 200_000,
     max_points: int = 500_000,
+    max_depth: float | None = None,
     up: Literal["y", "-y", "z"] | None = None,
     model: str = "zoed-lite",
     domain: str | None = None,
@@ -44,6 +46,7 @@ def view(
             found to be one without this.
         max_triangles: triangles of a photo's surface, at most.
         max_points: points of a photo's cloud, at most.
+        max_depth: metres beyond which a photo's pixels are not shown, as for the sky.
         up: the direction in a FILE that is up: y, -y (OpenCV's axes) or z. Files of `zoedepth predict` say it; in
             others it is y, if this is not given.
         model: a name of `zoedepth models`, a file or folder of weights, a Hugging Face id, or a file of
@@ -63,14 +66,17 @@ def view(
         raise InputError(f"--out {page} must be a page, with a name that ends in .html")
     require_own_mark(page, advice="give another name (--out)")
     if source.suffix.lower() in _FILES:
-        if cloud or panorama:
-            raise InputError(f"--cloud and --panorama are for photos, and {source} is shown as it is: leave them out")
+        if cloud or panorama or max_depth is not None:
+            raise InputError(
+                f"--cloud, --panorama and --max-depth are for photos, and {source} is shown as it is: leave them out"
+            )
         write_page_of_file(page, source, up=up)
         return _tell(page)
     if up is not None:
         raise InputError("--up is for files of meshes and clouds; photos are shown upright: leave it out")
     if max_triangles < 1 or max_points < 1:
         raise InputError("--max-triangles and --max-points must be 1 or more")
+    options = Options(max_depth=max_depth)
 
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.progress import download_progress
@@ -99,6 +105,7 @@ def view(
         maps = predict_panorama(predictor, source, domain=domain).maps
     else:
         maps = predictor(source, domain=domain).maps
+    maps = maps.up_to(options.max_depth)
     write_page_of_maps(page, maps, title=source.name, cloud=cloud, most=max_points if cloud else max_triangles)
     return _tell(page)
 

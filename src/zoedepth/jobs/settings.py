@@ -47,6 +47,8 @@ def job_settings(request: Request, predictor: Predictor, *, weights: str) -> dic
     """
     calibration = request.calibration
     asked = {name: value for name, value in asdict(request).items() if name not in _SAID_OTHERWISE}
+    if request.options.max_depth is None:
+        del asked["options"]["max_depth"]  # so that jobs from before there was this option go on
     return {
         "weights": weights,
         "zoedepth": __version__,

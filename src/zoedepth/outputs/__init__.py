@@ -4,10 +4,11 @@ A new kind is a file with an ``Output`` in it, and a line in ``OUTPUTS``: `zoede
 ``DepthMap.save`` offer it then.
 """
 
+import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
-from zoedepth.errors import InputError, no_such
+from zoedepth.errors import InputError, InputWarning, no_such
 from zoedepth.outputs.color import COLOR
 from zoedepth.outputs.depth import DEPTH
 from zoedepth.outputs.exr import EXR
@@ -24,7 +25,7 @@ from zoedepth.outputs.relative import RELATIVE
 from zoedepth.outputs.tiff import TIFF
 from zoedepth.outputs.usdz import USDZ
 
-__all__ = ["OUTPUTS", "Maps", "Options", "Output", "Written", "output_names", "write_maps"]
+__all__ = ["OUTPUTS", "Maps", "Options", "Output", "Written", "output_names", "save_maps", "write_maps"]
 
 OUTPUTS: dict[str, Output] = {
     "depth": DEPTH,
@@ -84,6 +85,17 @@ def write_maps(path: str | Path, maps: Maps, options: Options | None = None) -> 
     suffix = Path(path).suffix.lower()
     for output in OUTPUTS.values():
         if suffix in output.suffixes:
-            return output.write(Path(path), maps, options or Options())
+            options = options or Options()
+            return output.write(Path(path), maps.up_to(options.max_depth), options)
     known = [suffix for output in OUTPUTS.values() for suffix in output.suffixes]
     raise InputError(f"cannot write depth as {Path(path).name!r}: use one of the suffixes {', '.join(known)}")
+
+
+def save_maps(path: str | Path, maps: Maps, options: Options) -> None:
+    """Write one file as ``write_maps`` does, for the method ``save`` of a result: notes become warnings of its caller.
+
+    Warns:
+        InputWarning: see ``Written.notes``.
+    """
+    for note in write_maps(path, maps, options).notes:
+        warnings.warn(f"{path}: {note}", InputWarning, stacklevel=3)

@@ -1,7 +1,7 @@
 """The interface of an output: it gets the maps of a photo, writes one file, and says what a reader must know."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -88,6 +88,16 @@ class Maps:
             valid &= ~flying_in_panorama(self.depth)
         return valid
 
+    def up_to(self, metres: float | None) -> "Maps":
+        """Return the maps with what is beyond so many metres not valid: it makes no points and no surface.
+
+        None changes nothing. Depth itself stays.
+        """
+        if metres is None:
+            return self
+        low, high = self.depth_range
+        return replace(self, depth_range=(low, min(high, metres)))
+
 
 @dataclass(frozen=True)
 class Options:
@@ -107,12 +117,17 @@ class Options:
     """Colours of the preview, see ``colors.colorize``."""
     max_triangles: int | None = 500_000
     """Triangles of a mesh, at most; None keeps all, one or two for each pixel."""
+    max_depth: float | None = None
+    """Metres beyond which a pixel is not ``valid``, and makes no point and no surface, as for the sky; None keeps all.
+    Maps of depth keep theirs."""
 
     def __post_init__(self) -> None:
         if self.max_triangles is not None and self.max_triangles < 1:
             raise InputError(
                 f"a mesh has at least 1 triangle (--max-triangles, max_triangles=), got {self.max_triangles}"
             )
+        if self.max_depth is not None and not 0 < self.max_depth < np.inf:
+            raise InputError(f"points end at a distance above 0 m (--max-depth, max_depth=), got {self.max_depth}")
         if self.png_scale is not None:
             check_png_scale(self.png_scale)
         colorize(np.ones((1, 1)), vmin=self.vmin, vmax=self.vmax, colormap=self.colormap)

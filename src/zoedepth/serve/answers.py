@@ -150,7 +150,7 @@ def encode(result: DepthMap, photo: Decoded, wanted: Format, options: Options, *
         return File(_encode_maps(result, about(result, photo, model=model, facts={})))
     with tempfile.TemporaryDirectory(prefix=_draft_prefix(), dir=memory_folder()) as folder:
         path = Path(folder, f"photo{wanted.ending}")
-        written = OUTPUTS[wanted.name].write(path, result.maps, options)
+        written = OUTPUTS[wanted.name].write(path, result.maps.up_to(options.max_depth), options)
         return File(path.read_bytes(), written.notes)
 
 

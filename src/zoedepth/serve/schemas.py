@@ -127,6 +127,9 @@ class DepthQuery(CalibratedQuery):
     max_triangles: Annotated[int, Field(ge=1, le=10_000_000)] = Field(
         500_000, description="Triangles of a mesh (glb, usdz, html), at most."
     )
+    max_depth: Annotated[float, Field(ge=1e-3, le=1e6)] | None = Field(
+        None, description="Metres beyond which a pixel makes no point and no surface, as for the sky."
+    )
 
     def options(self) -> Options:
         """Return how the file of the answer is written.
@@ -134,7 +137,7 @@ class DepthQuery(CalibratedQuery):
         Raises:
             InputError: the values do not go together.
         """
-        return Options(self.png_scale, self.vmin, self.vmax, self.colormap, self.max_triangles)
+        return Options(self.png_scale, self.vmin, self.vmax, self.colormap, self.max_triangles, self.max_depth)
 
 
 class CalibrationQuery(PredictionQuery):
