@@ -127,6 +127,12 @@ def _models() -> Function:
     return models
 
 
+def _doctor() -> Function:
+    from zoedepth.commands.doctor import doctor
+
+    return doctor
+
+
 def _convert() -> Function:
     from zoedepth.commands.convert import convert
 
@@ -193,6 +199,7 @@ COMMANDS = {
     "verify": Command("compare the released weights with the paper's numbers, on the official data", _verify),
     "data": Command("list the published data sets, check a download, write shards", _data, reads_itself=True),
     "models": Command("list the models that have a name, and which are on this machine", _models),
+    "doctor": Command("look at this installation: versions, extras, folders, one prediction", _doctor),
     "convert": Command("write a model in another layout: ours, the original's, transformers'", _convert),
     "export": Command("write a model for other programs: ONNX, OpenVINO, torch.export", _export),
     "benchmark": Command(
