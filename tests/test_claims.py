@@ -292,3 +292,22 @@ def test_avif_is_not_taken_for_a_film_or_heic() -> None:
 def test_lengths_that_lie_take_no_time() -> None:
     with pytest.raises(ValueError, match="film"):
         check_claims(io.BytesIO(b"\xff\xff\xff\xffftypisom" + bytes(99)))
+
+
+@pytest.mark.parametrize(("kind", "greatest"), [("P6", 255), ("P5", 255), ("P5", 65535), ("P6", 65535)])
+@pytest.mark.parametrize("blanks", ["\r\n", " \n"])
+def test_a_header_with_a_blank_too_many_is_refused(tmp_path: Path, kind: str, greatest: int, blanks: str) -> None:
+    n_bytes = 8 * 6 * (3 if kind == "P6" else 1) * (1 if greatest < 256 else 2)
+    pixels = bytes(range(40, 40 + 96)) * 3
+    for header, refused in ((f"{kind}\n8 6\n{greatest}\n", False), (f"{kind}\n8 6\n{greatest}{blanks}", True)):
+        (tmp_path / "a.ppm").write_bytes(header.encode() + pixels[:n_bytes])
+        if refused:
+            with pytest.raises(InputError, match="its header ends with two blanks, where the format has one"):
+                read_image(tmp_path / "a.ppm")
+        else:
+            assert read_image(tmp_path / "a.ppm").shape == (6, 8, 3)
+
+
+def test_a_line_feed_behind_the_pixels_is_no_blank_too_many(tmp_path: Path) -> None:
+    (tmp_path / "a.ppm").write_bytes(b"P6\n8 6\n255\n" + bytes(range(40, 184)) + b"\n")
+    assert read_image(tmp_path / "a.ppm")[0, 0].tolist() == [40, 41, 42]

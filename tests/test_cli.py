@@ -308,3 +308,10 @@ sys.exit(code)
     assert process.returncode == 143, process.stderr
     assert process.stderr == "zoedepth work: terminated\n"
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("closed", ["stdin", "stdout", "stderr"])
+def test_a_closed_stream_is_no_traceback(monkeypatch: pytest.MonkeyPatch, closed: str) -> None:
+    monkeypatch.setattr(sys, closed, None)  # what Python has after >&-
+    assert main(["models"]) == 0
+    assert main(["nothing"]) == 2

@@ -421,3 +421,14 @@ def test_folder_that_cannot_be_made_is_an_input_error(server: FileServer, tmp_pa
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(InputError, match=server.url):
         download(server.url, tmp_path / "file" / "model.safetensors")
+
+
+def test_a_home_that_nobody_may_look_into_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(self: Path, **options: object) -> object:
+        raise PermissionError(13, "Permission denied", str(self))
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "root"))
+    monkeypatch.setattr(Path, "is_dir", refused)  # what Python raises for a user without rights; root has them
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    assert cache_home().parent == tmp_path

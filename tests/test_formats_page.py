@@ -37,10 +37,15 @@ def test_commands_and_programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     pytest.importorskip("fast_simplification")
     monkeypatch.chdir(tmp_path)
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (96, 128, 3), dtype=np.uint8)).save("photo.jpg")
+    Path("frames").mkdir()
+    Image.open("photo.jpg").save("frames/000001.png")  # as ffmpeg takes them out of a film
     commands = re.findall(r"^zoedepth .*|(?<=`)zoedepth [^`]*--out[^`]*(?=`)", PAGE, flags=re.MULTILINE)
-    assert len(commands) == 2
+    assert len(commands) == 3
     for command in commands:
         assert main(shlex.split(command.partition("#")[0])[1:]) == 0, command
+    assert {path.name for path in Path("depth").glob("000001*")} == {
+        "000001_color.png", "000001_depth.png", "000001.json",
+    }  # fmt: skip
     names: dict[str, object] = {}
     for program in programs():
         exec(program, names)

@@ -302,17 +302,17 @@ def walk_photos(
         The path, its place in the tree of all photos, and its target, the place that its files take without an ending.
     """
     sources = list(sources)
-    several_folders = sum(Path(source).is_dir() for source in sources) > 1
+    several_folders = sum(map(os.path.isdir, sources)) > 1
     named: list[tuple[Path, PurePosixPath]] = []
     for source in sources:
         path = Path(source)
-        if not path.is_dir() and os.path.lexists(path):
+        if not os.path.isdir(path) and os.path.lexists(path):
             named.append((path, PurePosixPath(path.name)))  # named one by one: tried whatever its suffix
             continue
         yield from _new(named, seen, taken)
         named = []
         listing = Listing()
-        if path.is_dir():
+        if os.path.isdir(path):
             root = path
             place = above if above is not None else own_name(path) if several_folders else ""
             folders = walk_files(path, listing)
@@ -328,7 +328,7 @@ def walk_photos(
             # They are of one folder.
             below = PurePosixPath(place, files[0].parent.relative_to(root).as_posix() if files else "")
             yield from _new([(file, below / file.name) for file in _photos(files, found, known)], seen, taken)
-        if not n_files and not path.is_dir():
+        if not n_files and not os.path.isdir(path):
             found.unreadable[source] = "matches no file"
         found.unreadable.update(listing.unreadable)
         found.left_out.update(listing.left_out)
@@ -716,8 +716,9 @@ def _no_photo(file: Path, suffix: str) -> str | None:
     if (suffix in IMAGE_SUFFIXES or suffix in _OTHER_PICTURES) and is_own_file(file):
         return "written by zoedepth"
     if suffix in IMAGE_SUFFIXES:  # whoever opened a pipe would wait for ever
-        return None if file.is_file() or not file.exists() else "pipes and devices, which are no files"
-    return left_out(suffix) if suffix or not file.is_symlink() or file.exists() else None
+        there = os.path.exists(file)  # unlike Path.exists, it raises nothing where nobody may look
+        return None if os.path.isfile(file) or not there else "pipes and devices, which are no files"
+    return left_out(suffix) if suffix or not os.path.islink(file) or os.path.exists(file) else None
 
 
 def left_out(suffix: str) -> str:
@@ -749,7 +750,7 @@ def _matching(pattern: str, root: Path, listing: Listing) -> Iterator[list[Path]
         for file in files:
             if service := service_folder(file.relative_to(root).parent):
                 listing.left_out[f"in {service}, where another program keeps its files"] += 1
-            elif not file.is_dir():
+            elif not os.path.isdir(file):
                 kept.append(file)
         yield kept
 

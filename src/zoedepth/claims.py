@@ -131,6 +131,7 @@ def _check_pnm(file: BinaryFile) -> None:
     if len(header) < 4:
         raise ValueError(f"its header is longer than {_MAX_PNM_HEADER:,} bytes, or cut short. Save it as PNG")
     if header[0] not in (b"P1", b"P2", b"P3"):
+        _check_blank(file, begin)
         return
     n_pixels = math.prod(int(side) for side in header[1:3] if side.isdigit())
     n_bytes = file.seek(0, os.SEEK_END) - begin
@@ -142,6 +143,27 @@ def _check_pnm(file: BinaryFile) -> None:
     file.seek(begin)
     if file.read(n_bytes).count(b"#") > _MAX_COMMENTS:
         raise ValueError(f"it has more than {_MAX_COMMENTS} comments. Save it as PNG")
+
+
+_PNM = re.compile(rb"P(?P<kind>[56])\s+(?P<width>\d{1,9})\s+(?P<height>\d{1,9})\s+(?P<greatest>\d{1,9})\s\s")
+"""The header of a binary PGM or PPM without comments, and a blank too many."""
+
+
+def _check_blank(file: BinaryFile, begin: int) -> None:
+    """Refuse a binary picture whose header ends with two blanks (\\r\\n): Pillow takes the second for a value."""
+    file.seek(begin)
+    found = _PNM.match(file.read(_MAX_PNM_HEADER))
+    n_left = file.seek(0, os.SEEK_END) - begin
+    file.seek(begin)
+    if found is None:
+        return
+    width, height, greatest = (int(found[name]) for name in ("width", "height", "greatest"))
+    n_bytes = (1 if greatest < 256 else 2) * (3 if found["kind"] == b"6" else 1)
+    if n_left - found.end() == height * width * n_bytes:
+        raise ValueError(
+            "its header ends with two blanks, where the format has one, so that every value would be a wrong one. Save "
+            "it as PNG"
+        )
 
 
 def _check_tiff(file: BinaryFile) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from io import TextIOWrapper
+from pathlib import Path
 
 from zoedepth.errors import OPTIONAL, MissingExtraError, Terminated, ZoeDepthError, is_no_memory, no_such
 
@@ -221,6 +222,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments = sys.argv[1:]
     arguments = list(arguments)
     name = " ".join(["zoedepth", *(word for word in arguments[:1] if word in COMMANDS)])
+    for stream, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, stream) is None:  # it was closed (>&-): Python has none then
+            setattr(sys, stream, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115 - for the process
     for stream in (sys.stdout, sys.stderr):
         _accept_all_letters(stream)
     try:

@@ -48,7 +48,7 @@ def cache_home() -> Path:
         return Path(os.path.expanduser(given))
     home = Path(os.path.expanduser("~"))  # unlike Path.home, it raises nothing: without a home it gives "~"
     cache = home / ".cache"
-    if cache.is_dir() or (home.is_absolute() and os.access(home, os.W_OK)):
+    if os.path.isdir(cache) or (home.is_absolute() and os.access(home, os.W_OK)):
         return cache
     user = os.getuid() if hasattr(os, "getuid") else None
     folder = Path(tempfile.gettempdir()) / f"zoedepth-{'user' if user is None else user}"

@@ -216,3 +216,10 @@ class TestFiles:
 def test_errors_at_the_readings_are_unknown_without_any() -> None:
     assert math.isnan(Calibration(scale=1.0).error_before)
     assert math.isnan(Calibration(scale=1.0).error_after)
+
+
+def test_a_link_that_leads_nowhere_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "camera.json").symlink_to(tmp_path / "gone.json")
+    with pytest.raises(InputError, match="is no calibration and would be replaced"):
+        write_calibration(tmp_path / "camera.json", example())
+    assert (tmp_path / "camera.json").is_symlink()

@@ -218,3 +218,9 @@ def test_a_point_between_two_pixels_is_at_that_of_the_depth_map() -> None:
     for x in (1.5, 2.5, 3.5, 4.5):
         measured = measure(depth, [(x, 1, 2.0)], None, np.ones(depth.shape, bool), along_ray=False)
         assert measured.depth[0, 0] == depth[1, int(x + 0.5)]
+
+
+def test_a_sparse_map_in_another_unit_is_refused() -> None:
+    depth = np.full((8, 10), 2.0, np.float32)
+    with pytest.raises(InputError, match=r"the median of the sparse depth map is 2500 m\. "):
+        measure(depth, 1250 * depth, None, depth > 0, along_ray=False)

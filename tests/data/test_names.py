@@ -114,3 +114,8 @@ class TestLettersThatLookTheSame:
 
     def test_composed_leaves_plain_letters_alone(self) -> None:
         assert (composed("abc"), composed(APART), composed(COMPOSED)) == ("abc", COMPOSED, COMPOSED)
+
+
+def test_a_link_that_leads_nowhere_is_not_its_own_name_in_other_capitals(tmp_path: Path) -> None:
+    (tmp_path / "c.jpg").symlink_to(tmp_path / "gone.jpg")
+    assert other_capitals(tmp_path / "c.jpg") is None

@@ -4,6 +4,7 @@ import dataclasses
 import unicodedata
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,6 +287,31 @@ def test_file_in_the_photos_tree_goes_before_one_of_the_same_name(tmp_path: Path
     np.testing.assert_array_equal(source.predict(named("a/7.jpg"), EVERYWHERE).depth, DEPTH)
 
 
+def test_of_files_that_hold_the_same_depth_the_most_exact_one_is_taken(tmp_path: Path) -> None:
+    write_depth_png(tmp_path / "7_depth.png", DEPTH)
+    write_maps(tmp_path / "7.npz", Maps(depth=DEPTH))
+    Image.fromarray(np.zeros((2, 2, 3), np.uint8)).save(tmp_path / "7.png")  # a preview in colours
+    source = FolderSource(tmp_path)
+    before = source.state("7.jpg")
+    np.testing.assert_array_equal(source.predict(named("7.jpg"), EVERYWHERE).depth, DEPTH)
+    Image.fromarray(np.zeros((2, 2), np.uint8)).save(tmp_path / "7.png")  # one in grey
+    assert source.state("7.jpg") != before, "which file is taken depends on all of them"
+    np.testing.assert_array_equal(source.predict(named("7.jpg"), EVERYWHERE).depth, DEPTH)
+
+
+@pytest.mark.parametrize("kind", [None, "disparity"])
+def test_of_files_that_hold_other_depth_none_is_taken(tmp_path: Path, kind: Any) -> None:
+    write_depth_png(tmp_path / "7.png", DEPTH[::-1])
+    write_maps(tmp_path / "7.npy", Maps(depth=DEPTH))
+    with pytest.raises(InputError, match=r"7\.npy and .*7\.png may both be the depth of 7\.jpg\. Remove one of them"):
+        FolderSource(tmp_path, kind=kind).predict(named("7.jpg"), EVERYWHERE)
+    write_depth_png(tmp_path / "7.png", 3 * DEPTH + 1)
+    if kind == "disparity":  # known up to scale and shift
+        np.testing.assert_array_equal(
+            FolderSource(tmp_path, kind=kind).predict(named("7.jpg"), EVERYWHERE).depth, DEPTH
+        )
+
+
 def test_scale_of_a_png_is_that_in_the_file_or_the_one_given(tmp_path: Path) -> None:
     write_depth_png(tmp_path / "a.png", DEPTH, scale=256)
     np.testing.assert_array_equal(FolderSource(tmp_path).predict(named("a.jpg"), EVERYWHERE).depth, DEPTH)
@@ -391,9 +417,9 @@ def skewed(*, seed: int, domain: str = "indoor", size: tuple[int, int] = (9, 11)
     [("7.npy", "7_depth.npy"), ("image/7_depth.png", "image/7.npy")],
 )
 def test_two_files_that_may_be_the_depth_of_a_photo_are_an_error(tmp_path: Path, one: str, other: str) -> None:
-    for name in (one, other):
+    for name, times in ((one, 2), (other, 1)):
         (tmp_path / name).parent.mkdir(exist_ok=True)
-        write_maps(tmp_path / name, Maps(DEPTH))
+        write_maps(tmp_path / name, Maps(times * DEPTH))
     with pytest.raises(InputError, match=r"may both be the depth of image/7\.jpg"):
         FolderSource(tmp_path).predict(named("image/7.jpg"), EVERYWHERE)
     (tmp_path / one).unlink()

@@ -219,6 +219,17 @@ class TestLists:
         assert found(tmp_path / "a.csv") == found(tmp_path / "a.csv", column="Image") == expected
         assert found(tmp_path / "a.txt") == expected
 
+    def test_lines_with_zero_bytes_do_not_lose_the_others(self, tmp_path: Path) -> None:
+        write_photo(tmp_path / "1.png")
+        (tmp_path / "l.txt").write_bytes(b"1.png\n" + bytes(4096))  # what a lost power leaves at the end of a file
+        sources = Sources((str(tmp_path / "l.txt"),))
+        assert [item.path.name for item in sources.inputs()] == ["1.png"]
+        assert "has a zero byte" in sources.found.failures[0]
+        (tmp_path / "l.txt").write_bytes("1.png\n".encode("utf-16-le"))
+        sources = Sources((str(tmp_path / "l.txt"),))
+        assert list(sources.inputs()) == []
+        assert "UTF-16 without a mark at its beginning" in sources.found.failures[0]
+
     def test_a_list_that_is_no_text_is_told(self, tmp_path: Path) -> None:
         (tmp_path / "a.txt").write_bytes(b"\xff\xfe\x00")
         sources = Sources((str(tmp_path / "a.txt"),))

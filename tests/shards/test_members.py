@@ -74,3 +74,9 @@ def test_block_with_two_members_of_one_name_or_with_thousands_is_an_error() -> N
     with pytest.raises(InputError, match="more than 100"):
         unpack(pack("0", {str(number): b"" for number in range(101)}), "here")
     assert len(unpack(pack("0", {str(number): b"" for number in range(100)}), "here")) == 100
+
+
+@pytest.mark.parametrize("mask", ["mask.npy", "mask.jpg", "mask.PNG"])
+def test_a_mask_that_is_not_read_is_refused(mask: str) -> None:
+    with pytest.raises(InputError, match=rf"its mask \.{mask} is not read\. Save masks as \.mask\.png"):
+        find_roles(["jpg", "depth.png", mask], "a.tar")

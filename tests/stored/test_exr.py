@@ -152,3 +152,14 @@ def test_half_floats_that_overflow_are_unknown(tmp_path: Path) -> None:
     far[0, 2] = np.inf  # a sky at 100 km
     found = read_depth(write(tmp_path / "a.exr", {"Z": far}))
     np.testing.assert_array_equal(found, np.where(np.isfinite(far), far, 0))
+
+
+@pytest.mark.parametrize("name", ["disparity", "mist", "Normal", "confidence", "IndexOB"])
+def test_a_lone_channel_of_something_else_is_no_depth(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InputError, match=rf"which of its channels is depth cannot be told: {name}"):
+        read_depth(write(tmp_path / "a.exr", {name: DEPTH}))
+
+
+def test_unreals_depth_is_refused_beside_an_alpha_too(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="SceneDepth is Unreal's depth, in centimetres"):
+        read_depth(write(tmp_path / "a.exr", {"SceneDepth": DEPTH, "A": np.ones_like(DEPTH)}))

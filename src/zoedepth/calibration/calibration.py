@@ -1,6 +1,7 @@
 """A calibration: what has to be done to the depth of one camera, how sure it is, and for which photos it holds."""
 
 import math
+import os
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -208,7 +209,7 @@ def check_replaceable(path: Path) -> None:
     """
     if path.is_dir():
         raise InputError(f"{path} is a folder: give a file")
-    if path.exists():
+    if os.path.lexists(path):  # also a link that leads nowhere
         try:
             read_calibration(path)
         except InputError as error:

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from zoedepth.data.plausible import find_mark, glance
+from zoedepth.data.plausible import POSSIBLE, UNIT, find_mark, glance
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
 from zoedepth.geometry.points import known_depth
@@ -211,6 +211,9 @@ def _of_map(sparse: Float[np.ndarray, "height width"], known: Bool[np.ndarray, "
     rows, columns = np.nonzero(measured & known)
     if not len(rows):
         raise InputError("the sparse depth map has no reading at a pixel with valid depth: is it of this photo?")
+    median = float(np.median(sparse[rows, columns]))
+    if not POSSIBLE[0] <= median <= POSSIBLE[1]:
+        raise InputError(f"the median of the sparse depth map is {median:.4g} m. {UNIT}")
     kept = slice(None, None, -(-len(rows) // MAX_USED))
     rows, columns = rows[kept], columns[kept]
     return [

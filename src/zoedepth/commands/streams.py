@@ -1,5 +1,6 @@
 """ "-" on the command line: a photo from standard input, a file to standard output."""
 
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -64,6 +65,8 @@ def _check(sources: tuple[str, ...], out: Path, *, kinds: Sequence[str], json_: 
         )
     if json_:
         raise InputError("--json and --out - both write to standard output: give one of them")
+    if getattr(sys.stdout, "name", None) == os.devnull:  # see cli.main
+        raise InputError("--out - writes to standard output, which is closed: open it, or give a folder")
     if sys.stdout.isatty():
         raise InputError("--out - would write a file to the terminal: send it somewhere, e.g. > depth.png")
 

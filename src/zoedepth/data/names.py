@@ -18,7 +18,8 @@ def composed(name: str) -> str:
 def other_capitals(path: Path) -> Path | None:
     """Return the file that has a missing file's name in other capital letters, as lists from Windows have them."""
     try:
-        return next((other for other in path.parent.iterdir() if other.name.casefold() == path.name.casefold()), None)
+        others = (other for other in path.parent.iterdir() if other.name != path.name)  # that may be a broken link
+        return next((other for other in others if other.name.casefold() == path.name.casefold()), None)
     except (OSError, ValueError):
         return None
 

@@ -23,12 +23,13 @@ from zoedepth.errors import InputError
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.forward.answer import Precision
 from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.points import known_depth
 from zoedepth.images import DepthArray, to_image
 from zoedepth.model.interface import DepthModel
 from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.runtimes.fast import load_fast
-from zoedepth.stored import DEPTH_SUFFIXES, read_stored
+from zoedepth.stored import DEPTH_SUFFIXES, StoredMap, read_stored
 from zoedepth.threads import cpu_count
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
@@ -267,9 +268,8 @@ class FolderSource:
         self._finder = Finder(folder, anywhere=True)
 
     def state(self, name: str) -> object:
-        """Return name, size and times of the file of a photo."""
-        path = self.find(name)
-        return path and files_state([path])
+        """Return name, size and times of the files of a photo."""
+        return None if self.find(name) is None else files_state(self._files(name))
 
     def find(self, name: str) -> Path | None:
         """Return the file of a photo; None where there is none."""
@@ -287,6 +287,11 @@ class FolderSource:
                 path = self._finder.find(f"{found}{suffix}", str(self.folder))
                 if path.is_file():
                     yield path
+
+    def _files(self, name: str) -> list[Path]:
+        """Return the files that may be a photo's in the first folder that has one: its tree, or that of all maps."""
+        files = list(self._candidates(name))
+        return [file for file in files if file.parent == files[0].parent]
 
     def unit(self, name: str) -> float | None:
         """Return the stored value of one metre in the file of a photo; None where nobody says it.
@@ -326,11 +331,7 @@ class FolderSource:
                 f"{path} would be the depth of two photos, {other} and {name}: put the depth maps into folders like "
                 "those of the photos"
             )
-        # A file in the photos' tree goes before one of the same name elsewhere; formats do not matter.
-        others = [file for file in self._candidates(name) if file.parent == path.parent and file.stem != path.stem]
-        if others:
-            raise InputError(f"{path} and {others[0]} may both be the depth of {name}. Remove one of them")
-        stored = read_stored(path)
+        path, stored = self._chosen(name)
         if stored.values.dtype.itemsize < 2 and self.kind != "disparity":
             raise InputError(
                 f"{path} has 8 bits a pixel: it is a picture of depth. Give 16 bits or floating point; if it is "
@@ -338,8 +339,53 @@ class FolderSource:
             )
         if stored.relative and self.kind is None:
             raise InputError(f"{path} says that it is relative depth, without metres: add --predictions-kind disparity")
-        in_metres = 1.0 if stored.values.dtype.kind == "f" else None
-        return path, stored.values.astype(np.float32), self.scale or stored.scale or in_metres
+        return path, stored.values.astype(np.float32), self._scale_of(stored)
+
+    def _scale_of(self, stored: StoredMap) -> float | None:
+        return self.scale or stored.scale or (1.0 if stored.values.dtype.kind == "f" else None)
+
+    def _chosen(self, name: str) -> tuple[Path, StoredMap]:
+        """Return the file of a photo and its content: the most exact one of several that hold the same depth.
+
+        Raises:
+            InputError: none can be read, or two hold other depth than each other.
+        """
+        files, found, problem = self._files(name), [], None
+        for file in files:
+            try:
+                found.append((file, read_stored(file)))
+            except InputError as error:  # a preview has colours
+                problem = error
+        if len(files) > 1 and self.kind != "disparity":
+            maps = [(file, stored) for file, stored in found if stored.values.dtype.itemsize > 1]  # 8 bits: a picture
+            found = maps or found
+        if not found:
+            assert problem is not None, "there is a file"
+            raise problem
+        found.sort(key=lambda each: each[1].values.dtype.kind != "f")
+        (first, exact), *others = found
+        for file, stored in others:
+            if not self._same(exact, stored):
+                raise InputError(f"{first} and {file} may both be the depth of {name}. Remove one of them")
+        return first, exact
+
+    def _same(self, one: StoredMap, other: StoredMap) -> bool:
+        """Return True where two files hold the same metres, or disparity up to its scale and shift, but for steps."""
+        if one.values.shape != other.values.shape:
+            return False
+        if self.kind == "disparity":
+            both = np.stack([one.values.ravel(), other.values.ravel()]).astype(np.float64)
+            return bool(np.asarray(np.corrcoef(both))[0, 1] > 0.999)
+        scales = self._scale_of(one), self._scale_of(other)
+        if None in scales:
+            return False
+        (a, step), (b, other_step) = (
+            (stored.values / np.float32(scale), 0.0 if stored.values.dtype.kind == "f" else 1 / scale)
+            for stored, scale in zip((one, other), scales, strict=True)
+            if scale is not None
+        )
+        known = known_depth(a) & known_depth(b)
+        return bool(np.allclose(a[known], b[known], rtol=1e-3, atol=max(step, other_step)))
 
 
 class ConstantSource:

@@ -157,7 +157,7 @@ def _check_target(path: Path) -> None:
         raise InputError(
             f"{weights} is there already, and OpenVINO would replace it: give another name than {path.name}"
         )
-    if not path.exists():
+    if not os.path.lexists(path):  # a link that leads nowhere is there
         return
     if path.is_file() and path.stat().st_size:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:

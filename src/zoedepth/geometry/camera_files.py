@@ -39,7 +39,8 @@ _COLMAP_MODELS = {
 # Models that are a pinhole camera where all their numbers of distortion are 0; others never are.
 _PLAIN_MODELS = {
     "", "none", "pinhole", "simplepinhole", "perspective", "plumbbob", "rationalpolynomial", "radtan", "opencv",
-    "fullopencv", "simpleradial", "radial", "brownconrady", "inversebrownconrady", "modifiedbrownconrady",
+    "radialtangential", "fullopencv", "simpleradial", "radial", "brownconrady", "inversebrownconrady",
+    "modifiedbrownconrady",
 }  # fmt: skip
 _MODELS = ("distortionmodel", "cameramodel", "model")
 _MATRICES = ("cameramatrix", "intrinsicmatrix", "intrinsics", "intrinsic", "matrix", "mtx", "k")

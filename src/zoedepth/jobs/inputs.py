@@ -61,6 +61,7 @@ N_FIRST = 64
 
 _TOGETHER = 1000  # lines and members that get their targets together
 _MAX_LINE = 1 << 16  # letters
+_MOST_SHOWN = 80  # letters of a line that cannot be a path
 
 
 @dataclass
@@ -151,7 +152,7 @@ class Sources:
 
         groups = [[name] for name in run] if several else [run]
         for group in groups:
-            above = None if not several else _stem(group[0]) if Path(group[0]).is_dir() else ""
+            above = None if not several else _stem(group[0]) if os.path.isdir(group[0]) else ""
             photos = walk_photos(group, found, seen=seen, taken=taken, above=above, known=known)
             yield from self._of_shard(
                 Input(os.path.abspath(path), place, target, path) for path, place, target in photos
@@ -227,7 +228,7 @@ def source_kind(name: str) -> str:
     Kinds: photo, here (a folder or a glob of this machine), list, table, zip, tar, address, address of a photo.
     """
     address = is_address(name)
-    if not address and Path(name).is_dir():
+    if not address and os.path.isdir(name):  # unlike Path.is_dir, it raises nothing where nobody may look
         return "here"
     path = name.partition("?")[0].lower() if address else name.lower()
     for kind, suffixes in (("list", LISTS), ("table", TABLES), ("zip", ZIPS), ("tar", TARS)):
@@ -271,6 +272,11 @@ def _of_lines(name: str, lines: Iterable[str], found: Found) -> Iterator[_Listed
     folder = name.rpartition("/")[0] if away else os.path.dirname(name)
     finder = Finder(Path(folder), anywhere=True)
     for line in lines:
+        if "\0" in line:
+            found.unreadable[line.replace("\0", "\\0")[:_MOST_SHOWN]] = (
+                f"has a zero byte: is {name} UTF-16 without a mark at its beginning, or damaged?"
+            )
+            continue
         if line.startswith("#") and not Path(folder, line).exists():  # a comment, as in lists for training
             continue
         if is_address(line):

@@ -57,7 +57,7 @@ class Input:
             return self.size, self.version
         try:
             found = os.stat(self.path)
-        except OSError:
+        except (OSError, ValueError):  # ValueError: the name has a zero byte
             return None, None
         return found.st_size, found.st_mtime_ns
 

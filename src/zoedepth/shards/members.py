@@ -54,6 +54,10 @@ def find_roles(extensions: Iterable[str], where: str) -> Roles:
         raise InputError(
             f"{where}: needs one photo (.jpg, .png …) and one .depth.png or .depth.npz; it has {extensions}"
         )
+    if wrong := [name for name in extensions if name.partition(".")[0] == "mask" and name != "mask.png"]:
+        raise InputError(
+            f"{where}: its mask .{wrong[0]} is not read. Save masks as .mask.png, 0 where depth is unknown"
+        )
     kind = _TARGETS[targets[0].partition(".")[0]]
     return Roles(photos[0], targets[0], kind, "mask.png" if "mask.png" in extensions else None)
 

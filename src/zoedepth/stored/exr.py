@@ -52,21 +52,24 @@ def read_exr(path: Path) -> Map:
     return values if values.dtype.kind == "u" else values.astype(np.float32, copy=False)
 
 
+_COLOURS = ("r", "g", "b", "red", "green", "blue")
+
+
 def _name(part: str, channel: str) -> str:
     return channel if not part or channel.startswith(part) else f"{part}.{channel}"
 
 
 def _choose(channels: dict[str, Map]) -> str:
     """Return the name of the channel of depth."""
-    if len(channels) == 1 and not _is_another(only := next(iter(channels))):
-        return _in_metres(only)
+    opaque = [name for name in channels if name.lower() not in ("a", "alpha")] or list(channels)
+    if len(opaque) == 1 and not _is_another(opaque[0]):
+        return _in_metres(opaque[0])
     found = [name for name in channels if _may_be_depth(name, channels)]
     named = [name for name in found if "depth" in name.lower()]
     if len(named or found) == 1:
         return _in_metres((named or found)[0])
-    opaque = [name for name in channels if name.lower() not in ("a", "alpha")]
-    bare = all("." not in name for name in opaque)
-    if not found and bare and all(np.array_equal(channels[opaque[0]], channels[name]) for name in opaque[1:]):
+    grey = len(opaque) > 1 and all(name.lower() in _COLOURS for name in opaque)
+    if not found and grey and all(np.array_equal(channels[opaque[0]], channels[name]) for name in opaque[1:]):
         return opaque[0]
     more = f" and {len(channels) - _MOST_NAMED} more" if len(channels) > _MOST_NAMED else ""
     raise ValueError(
