@@ -63,9 +63,11 @@ def test_focal_lengths_in_another_unit_are_refused(known: Lens | Intrinsics) -> 
         camera_of(known, (480, 640))
 
 
-@pytest.mark.parametrize(("name", "value"), [("fov_x", 0.69), ("fov_y", 175.0), ("fov_diagonal", 0.5)])
+@pytest.mark.parametrize(
+    ("name", "value"), [("fov_x", 0.69), ("fov_x", 1.2), ("fov_y", 2.79), ("fov_y", 175.0), ("fov_diagonal", 0.5)]
+)
 def test_fields_of_view_in_another_unit_are_refused(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=rf"{name} is {value:g} degrees, and lenses see 1 to 160: radians"):
+    with pytest.raises(InputError, match=rf"{name} is {value:g} degrees, and it must be 2.8 to 160: radians"):
         Lens(**{name: value})
 
 

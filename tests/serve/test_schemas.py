@@ -64,7 +64,7 @@ def test_values_that_nothing_can_have_are_invalid(given: dict) -> None:
 
 def test_the_smallest_and_widest_lens_make_a_camera() -> None:
     for name in ("fov_x", "fov_y", "fov_diagonal"):
-        for degrees in (1, 160):
+        for degrees in (2.8, 160):
             camera = query(**{name: degrees}).wanted().camera
             assert isinstance(camera, Lens)
             assert camera.camera((48, 64)).focal_px > 0

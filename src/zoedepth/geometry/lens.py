@@ -7,6 +7,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera, Intrinsics
 
 _FOV = (1.0, 160.0)  # degrees along the longer side: beyond, a number is in another unit
+_SAID_FOV = (2.8, _FOV[1])  # degrees that somebody says: all that lenses see is less than 2.8 in radians
 _MOST_NAMED = 6
 
 
@@ -37,10 +38,10 @@ class Lens:
             raise InputError(f"a lens needs one of {names}, got {', '.join(given) or 'none'}")
         self.camera((1, 1))  # says what is wrong with the number
         degrees = getattr(self, given[0])
-        if given[0] != "focal_px" and not _FOV[0] <= degrees <= _FOV[1]:
+        if given[0] != "focal_px" and not _SAID_FOV[0] <= degrees <= _SAID_FOV[1]:
             raise InputError(
-                f"{given[0]} is {degrees:g} degrees, and lenses see {_FOV[0]:g} to {_FOV[1]:g}: radians times 57.3 are "
-                "degrees"
+                f"{given[0]} is {degrees:g} degrees, and it must be {_SAID_FOV[0]:g} to {_SAID_FOV[1]:g}: radians "
+                "times 57.3 are degrees. Of a longer lens say the focal length in pixels"
             )
 
     def camera(self, size: tuple[int, int]) -> Camera:

@@ -20,7 +20,7 @@ MAX_POINTS = 1000
 """Points, pairs and readings of a request, at most."""
 
 _NUMBER = r"-?\d{1,7}(\.\d{1,12})?"
-_Degrees = Annotated[float, Field(ge=1, le=160)]
+_Degrees = Annotated[float, Field(ge=2.8, le=160)]  # in radians all lenses have less
 _Metres = Annotated[float, Field(ge=1e-6, le=1e6)]
 _Side = Annotated[float, Field(ge=-1e7, le=1e7)]
 _Pixel = tuple[_Side, _Side]
