@@ -11,18 +11,27 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 from torch import Tensor
 
 from zoedepth import colors
 from zoedepth.download import download
 from zoedepth.errors import InputError
-from zoedepth.images import PNG_SCALE_KITTI, read_image, to_image
+from zoedepth.images import PNG_SCALE_KITTI, read_image
 from zoedepth.outputs.depth import write_depth_png
-from zoedepth.torchhub import OriginalInterface, build, check_options
+from zoedepth.torchhub import OriginalInterface, build, check_options, pil_to_batched_tensor
 from zoedepth.weights.releases import RELEASES
+
+__all__ = [
+    "Config",
+    "build_model",
+    "colorize",
+    "get_config",
+    "get_image_from_url",
+    "pil_to_batched_tensor",
+    "save_raw_16bit",
+]
 
 _PRESETS = {
     ("zoedepth", None): "zoed-m12-n",
@@ -108,11 +117,6 @@ def build_model(config: Config) -> OriginalInterface:
         config_mode=str(config.mode),
         compat=(),
     )
-
-
-def pil_to_batched_tensor(img: Image.Image) -> Float[Tensor, "1 3 height width"]:
-    """Return a PIL image as RGB in [0, 1], as ``infer`` takes it. Its EXIF orientation is not applied."""
-    return torch.tensor(to_image(img, upright=False)).permute(2, 0, 1)[None].float() / 255
 
 
 def get_image_from_url(url: str) -> Image.Image:

@@ -135,15 +135,22 @@ class OriginalInterface(nn.Module):
         """
         if output_type not in ("numpy", "pil", "tensor"):
             raise InputError(f"output_type must be 'numpy', 'pil' or 'tensor', got {output_type!r}")
-        image = to_image(pil_img, upright=False)
-        pixels = torch.tensor(image).permute(2, 0, 1)[None].float() / 255
         with torch.no_grad():
-            depth = self.infer(pixels, pad_input, with_flip_aug)[0, 0].cpu()
+            depth = self.infer(pil_to_batched_tensor(pil_img), pad_input, with_flip_aug)[0, 0].cpu()
         if output_type == "tensor":
             return depth
         if output_type == "numpy":
             return depth.numpy()
         return Image.fromarray((depth.numpy() * PNG_SCALE_KITTI).clip(0, PNG_MAX).astype(np.uint16))
+
+
+def pil_to_batched_tensor(img: Image.Image) -> Float[Tensor, "1 3 height width"]:
+    """Return a PIL image as RGB in [0, 1], as ``infer`` takes it. Its EXIF orientation is not applied.
+
+    Raises:
+        InputError: the image has values out of range, or a mode without colours.
+    """
+    return torch.tensor(to_image(img, upright=False)).permute(2, 0, 1)[None].float() / 255
 
 
 def build(

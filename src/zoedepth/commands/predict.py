@@ -199,7 +199,14 @@ def predict(
         raise InputError("--fast chooses for this machine, and --engine ray computes on others: leave one of them out")
     if engine == "ray" and out == STREAM:
         raise InputError("--out - is for one photo: leave --engine out")
-    options = Options(png_scale, vmin, vmax, colormap, max_triangles or None, max_depth)
+    options = Options(
+        png_scale=png_scale,
+        vmin=vmin,
+        vmax=vmax,
+        colormap=colormap,
+        max_triangles=max_triangles or None,
+        max_depth=max_depth,
+    )
 
     streamed = out == STREAM
     part = JobShard() if shard is None else JobShard.parse(shard)
