@@ -198,3 +198,13 @@ def test_portable_maps_in_a_folder(tmp_path: Path, suffix: str) -> None:
     if suffix == ".pgm":
         with pytest.raises(InputError, match=r"nobody says the depth_scale of a\.pgm"):
             open_dataset(tmp_path, domain="indoor")
+
+
+@pytest.mark.parametrize(("there", "asked"), [("test", "train"), ("train", "test")])
+def test_the_list_of_another_split_is_not_passed_over(tmp_path: Path, there: str, asked: str) -> None:
+    folder = write_pairs(tmp_path / "rooms", split=there, n=2)
+    folder = folder if folder.is_dir() else folder.parent
+    (folder / "dataset.json").write_text('{"domain": "indoor", "depth_scale": 1000}', encoding="utf-8")
+    assert len(open_dataset(folder, split=there)) == 2
+    with pytest.raises(InputError, match=rf"has {there}\.csv, and no {asked}\.csv or {asked}\.jsonl: give the list"):
+        open_dataset(folder, split=asked)

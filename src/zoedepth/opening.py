@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import parse_qsl
 
 from zoedepth.data.facts import DEFAULTS_FILE, Facts, parse_facts
-from zoedepth.data.folders import LAYOUTS, find_layout
+from zoedepth.data.folders import LAYOUTS, SPLITS, find_layout
 from zoedepth.data.huggingface import HuggingFaceDataset, is_saved, load_hub, load_saved
 from zoedepth.data.pairs import PairDataset, find_list
 from zoedepth.data.sample import DepthDataset
@@ -112,6 +112,11 @@ def _open_folder(
     if name in DATASETS:
         return DATASETS[name](
             path, split=split, allow_missing=pairs["allow_missing"], keep_missing=pairs["keep_missing"]
+        )
+    if lists := [found for other in SPLITS if (found := find_list(path, other))]:
+        raise InputError(
+            f"{path} has {lists[0].name}, and no {split}.csv or {split}.jsonl: give the list itself, {lists[0]}, if "
+            f"you want its photos, or add a list of the split {split}"
         )
     if find_layout(path):
         return PairDataset(path, split=split, **pairs, **given)

@@ -23,10 +23,10 @@ def test_the_page_takes_the_fields_of_view_that_the_service_takes() -> None:
     schema = PredictionQuery.model_json_schema()["properties"]["fov_x"]["anyOf"][0]
     limits = (str(schema["minimum"]), str(schema["maximum"]))
     page, panel = ((FOLDER / name).read_text(encoding="utf-8") for name in ("index.html", "camera-panel.js"))
-    found = re.search(r'id="fov"[^>]*min="(\d+)"\s+max="(\d+)"', page)
+    found = re.search(r'id="fov"[^>]*min="([\d.]+)"\s+max="([\d.]+)"', page)
     assert found
     assert found.groups() == limits
-    found = re.search(r"LEAST = (\d+),\s+MOST = (\d+);", panel)
+    found = re.search(r"LEAST = ([\d.]+),\s+MOST = ([\d.]+);", panel)
     assert found
     assert found.groups() == limits
 

@@ -3,7 +3,7 @@
 import {Camera, focalOfView} from "./depth.js";
 import {byId, element} from "./dom.js";
 
-const LEAST = 1,
+const LEAST = 2.8,
   MOST = 160; // degrees of the field of view that the service takes
 const DELAY = 250; // milliseconds that a moving slider must rest before the service is asked
 /** Who says the camera, in a few words. */
