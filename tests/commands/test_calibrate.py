@@ -2,6 +2,7 @@
 
 import copy
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,18 @@ def test_predict_applies_what_was_kept(photo: Path, depth: DepthMap, tmp_path: P
     np.testing.assert_allclose(
         read_depth(tmp_path / "out" / "photo_depth.png"), calibration.apply(depth.depth), atol=5.1e-4, rtol=1e-5
     )
+
+
+def test_prints_the_command_that_predicts_in_the_same_way(
+    photo: Path, depth: DepthMap, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept = tmp_path / "my camera.json"
+    assert calibrate(photo, *readings(depth, 1.5), "--out", kept, "--fov-x", 60, "--pad", "no") == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("Kept in "))
+    words = shlex.split(line.split("To use it: ")[1])
+    assert words[:5] == ["zoedepth", "predict", "PHOTOS", "--out", "FOLDER"]
+    assert words[7:] == ["--no-flip", "--pad", "no", "--domain", "indoor", "--fov-x", "60.0"]
+    assert main(["predict", str(photo), "--out", str(tmp_path / "out"), *words[5:]]) == 0
 
 
 def test_undo_takes_it_out_of_the_files(

@@ -9,6 +9,7 @@ from PIL import Image
 from zoedepth.commands.cameras import chosen_camera
 from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Camera
+from zoedepth.geometry.choice import known_without_notes
 from zoedepth.geometry.lens import Lens
 
 NOTHING = {
@@ -54,6 +55,16 @@ def test_pixels_are_those_of_the_first_photo_that_can_be_read(photos: list[Path]
     assert found == Camera.from_focal(55.0, (40, 60))
     with pytest.raises(InputError, match=r"a\.zip::0\.jpg"):
         chosen_camera([damaged], **{**NOTHING, "focal_px": 55.0})
+
+
+def test_a_file_serves_the_photos_it_suits_whatever_the_size_of_the_first(photos: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "k.json").write_text('{"width": 60, "height": 60, "fx": 55, "fy": 56, "cx": 29, "cy": 30}')
+    found = chosen_camera(photos, **{**NOTHING, "camera": str(tmp_path / "k.json")})
+    with pytest.raises(InputError, match="of other proportions"):
+        known_without_notes(found, (40, 60))
+    camera = known_without_notes(found, (30, 30))
+    assert camera is not None
+    assert camera.fx == pytest.approx(27.5)
 
 
 def test_a_file(photos: list[Path], tmp_path: Path) -> None:

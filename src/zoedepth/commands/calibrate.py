@@ -2,7 +2,8 @@
 
 import math
 import os
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -186,8 +187,34 @@ def calibrate(
     if json_:
         print(to_json(found.to_json()))
     else:
-        _show(found, photo, form=form, out=out)
+        same = {
+            "--model": None if model == "zoed-lite" else model,
+            "--no-flip": not flip,
+            "--pad": None if pad == "model" else pad,
+            "--domain": domain,
+            "--camera": camera,
+            "--fov-x": fov_x,
+            "--fov-y": fov_y,
+            "--fov-diagonal": fov_diagonal,
+            "--focal-px": focal_px,
+            "--intrinsics": intrinsics,
+            "--focal-correction": None if focal_correction == "model" else focal_correction,
+            "--compat": compat or None,
+            "--precision": None if precision == "float32" else precision,
+        }
+        _show(found, photo, form=form, out=out, same=_words(same))
     return 0
+
+
+def _words(options: Mapping[str, object]) -> list[str]:
+    """Return the words of a command line that say these options; None and False are those that were not given."""
+    words: list[str] = []
+    for name, value in options.items():
+        if value is None or value is False:
+            continue
+        values = value if isinstance(value, tuple) else () if value is True else (value,)
+        words += [name, *(str(each) for each in values)]
+    return words
 
 
 def _read_sparse(path: Path, photo: Path, *, scale: float | None) -> "DepthArray":
@@ -222,8 +249,11 @@ def _numbers(text: str, n_pixels: int, usage: str) -> list[float]:
     return numbers
 
 
-def _show(found: "Calibration", photo: Path, *, form: str, out: Path | None) -> None:
-    """Print the readings, how they changed, and how far the calibrated depth can be believed."""
+def _show(found: "Calibration", photo: Path, *, form: str, out: Path | None, same: list[str]) -> None:
+    """Print the readings, how they changed, and how far the calibrated depth can be believed.
+
+    ``same`` are the options that other photos have to be predicted with, too.
+    """
     console = Console(highlight=False)
     shown = sorted(found.readings, key=lambda reading: -abs(math.log(reading.after / reading.metres)))[:_SHOWN]
     shown = [reading for reading in found.readings if reading in shown]
@@ -236,11 +266,11 @@ def _show(found: "Calibration", photo: Path, *, form: str, out: Path | None) -> 
         place = reading.place if found.n_photos == 1 else f"{Path(reading.photo).name} {reading.place}"
         table.add_row(place, *metres, f"{reading.residual:+.1%}", _remark(reading))
     console.print(table)
-    for line in _told(found, n_shown=len(shown), form=form, out=out):
+    for line in _told(found, n_shown=len(shown), form=form, out=out, same=same):
         console.print(line, soft_wrap=True, markup=False)
 
 
-def _told(found: "Calibration", *, n_shown: int, form: str, out: Path | None) -> Iterator[str]:
+def _told(found: "Calibration", *, n_shown: int, form: str, out: Path | None, same: list[str]) -> Iterator[str]:
     """Yield what there is to say about a calibration, a line each."""
     if n_shown < found.n_readings:
         yield f"These are the {n_shown} worst of {found.n_readings}; {len(found.outliers)} do not fit the others."
@@ -264,8 +294,10 @@ def _told(found: "Calibration", *, n_shown: int, form: str, out: Path | None) ->
         yield f"All depths change by a factor of {factor:.2f}: are the readings in metres?"
     if out is not None:
         if found.n_photos < _ENOUGH:
-            yield f"For other photos, add readings of some: zoedepth calibrate ANOTHER --at ... --out {out} --add"
-        yield f"Kept: zoedepth predict PHOTOS --out FOLDER --calibration {out}"
+            more = shlex.join(["--out", str(out), "--add", *same])
+            yield f"For other photos, add readings of some: zoedepth calibrate ANOTHER --at X,Y=METRES {more}"
+        kept = shlex.join(["--calibration", str(out), *same])
+        yield f"Kept in {out}. To use it: zoedepth predict PHOTOS --out FOLDER {kept}"
 
 
 def _remark(reading: "Reading") -> str:

@@ -90,7 +90,10 @@ def read_camera(path: str | Path, size: tuple[int, int]) -> Camera:
             was only assumed, or one for photos of other proportions.
     """
     known = read_cameras(path, size)
-    return known if isinstance(known, Camera) else known.chosen(size)
+    try:
+        return camera_of(known, size)
+    except InputError as error:
+        raise _naming(Path(path), error) from error
 
 
 def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
@@ -98,7 +101,12 @@ def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
 
     Args:
         path: the file.
-        size: (height, width) of the first photo, upright, which must have a camera in the file.
+        size: (height, width) of the first photo, upright. It is asked where the file does not say a size, or has several
+            cameras of one; where it has cameras of several sizes, one of them must be for this photo.
+
+    Returns:
+        The camera with the size that the file says, whether or not it suits the first photo: ``camera_of`` makes that
+        of each photo of it, and refuses photos of other proportions.
 
     Raises:
         InputError: see ``read_camera``.
@@ -121,11 +129,15 @@ def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
         camera = Camera.of(stated.intrinsics, stated.size or size, source=stated.source)
         _check_plausible(camera, size_is_known=stated.size is not None)
         if len(set(found)) == 1:
-            return camera_of(camera, size)
+            return camera_of(camera, camera.size)  # photos of other proportions are refused one by one
         return _sorted_out(found, path)
     except InputError as error:
-        message = str(error)
-        raise InputError(message if str(path) in message else f"{path}: {message}") from error
+        raise _naming(path, error) from error
+
+
+def _naming(path: Path, error: InputError) -> InputError:
+    message = str(error)
+    return InputError(message if str(path) in message else f"{path}: {message}")
 
 
 def _sorted_out(found: Sequence[_Stated], path: Path) -> Cameras:
