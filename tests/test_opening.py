@@ -66,7 +66,7 @@ def test_published_set_by_its_name(tmp_path: Path) -> None:
     dataset = open_dataset(tmp_path, name="nyu")
     assert isinstance(dataset, DATASETS["nyu"])
     assert dataset[0].target.unique().tolist() == [2]
-    with pytest.raises(InputError, match="accepted are"):
+    with pytest.raises(InputError, match="accepted are: "):
         open_dataset(tmp_path)
 
 
@@ -106,12 +106,12 @@ def test_photos_without_depth_where_allowed(folder: Path) -> None:
 @pytest.mark.parametrize("name", ["photo.jpg", "data.csv.gz", "data.tar.gz", "other.json"])
 def test_file_of_another_kind_is_an_error_that_says_what_is_accepted(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"")
-    with pytest.raises(InputError, match=rf"{name} is not data in a known format; accepted are[^$]*\.jsonl"):
+    with pytest.raises(InputError, match=rf"{name} is not data in a known format; accepted are: [^$]*\.jsonl"):
         open_dataset(tmp_path / name)
 
 
 def test_what_is_not_there_is_an_error_that_says_what_is_accepted(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"there is no .*nowhere; accepted are"):
+    with pytest.raises(InputError, match=r"there is no .*nowhere; accepted are: "):
         open_dataset(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"none of test\.csv, test\.jsonl, index\.json.*'mine' is no published"):
         open_dataset(tmp_path, name="mine", split="test")

@@ -19,14 +19,14 @@ from zoedepth.synthetic import SyntheticScenes
 LISTS = (".csv", ".tsv", ".jsonl", ".txt")
 """Suffixes of lists of pairs."""
 
-ACCEPTED = f"""accepted are
-    a list of pairs: .csv, .tsv, .jsonl, or .txt
-    a folder with SPLIT.csv or SPLIT.jsonl
-    a folder of pairs: {", ".join("/ and ".join(layout) + "/" for layout in LAYOUTS)}
-    shards: a .tar, {INDEX_FILE}, their address, or a folder of them (also SPLIT/ in it)
-    a published data set in its official folder, under its name: {", ".join(DATASETS)}
-    Hugging Face: hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that save_to_disk wrote
-    rendered scenes: synthetic:rooms, synthetic:streets, synthetic:all, with [?n=1000&seed=0&size=288x384&fov=35-100]"""
+ACCEPTED = (
+    "accepted are: a list of pairs (.csv, .tsv, .jsonl, .txt); a folder with SPLIT.csv or SPLIT.jsonl; a folder of pairs "
+    f"({', '.join('/ and '.join(layout) + '/' for layout in LAYOUTS)}); shards (a .tar, {INDEX_FILE}, their address, or a "
+    "folder of them, also SPLIT/ in it); the official folder of a published data set, given as NAME=FOLDER with NAME one "
+    f"of {', '.join(DATASETS)}; Hugging Face's data (hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that "
+    "save_to_disk wrote); rendered scenes (synthetic:rooms, synthetic:streets or synthetic:all, with "
+    "[?n=1000&seed=0&size=288x384&fov=35-100])"
+)
 
 SCENES = {"rooms": ("indoor",), "streets": ("outdoor",), "all": ("indoor", "outdoor")}
 """Name of rendered scenes → their domains."""
@@ -123,7 +123,8 @@ def _open_folder(
     if find_shards(path):
         return ShardDataset(path, **given)
     looked = f"{split}.csv, {split}.jsonl, {INDEX_FILE}, tar files, folders of photos and depth"
-    raise InputError(f"{path} has none of {looked}, and {name!r} is no published data set; {ACCEPTED}")
+    published = "" if name is None else f", and {name!r} is no published data set"
+    raise InputError(f"{path} has none of {looked}{published}; {ACCEPTED}")
 
 
 def _open_hub(text: str, *, split: str, facts: Facts) -> DepthDataset:

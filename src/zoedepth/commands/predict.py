@@ -440,6 +440,8 @@ class _Report:
         except InputError as end:
             code, state, error = EXIT_FAILED, "Stopped: ", str(end)
         n_failed = self._tell(error)
+        if self.tally.done and not self.streamed:
+            self.console.print(f"Files are in {escape(self.place.destination.name)}", soft_wrap=True)
         self.console.print(f"{state}{self._sum(n_failed)}", soft_wrap=True)
         if state and not self.streamed:
             self.console.print(self.how_to_go_on)
