@@ -27,7 +27,7 @@ def test_status(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert ", not running; began 2" in lines[0]
     (out / "zoedepth-manifest-1-of-3.jsonl").unlink()
     main(["jobs", "status", str(out)])
-    assert "shard 1/3: not begun" in capsys.readouterr().out
+    assert "shard 1/3: nothing yet; nobody has begun it, or" in capsys.readouterr().out
 
 
 def test_as_json(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -64,7 +64,7 @@ def test_a_named_photo_hides_no_failure(out: Path, capsys: pytest.CaptureFixture
 
 def test_merge(out: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["jobs", "merge", str(out)]) == 0
-    assert capsys.readouterr().out == "9 photos are done\n"
+    assert capsys.readouterr().out == f"9 photos are done, 1 failed: zoedepth jobs status {out} --failed\n"
     assert main(["jobs", "status", str(out)]) == 1
     assert capsys.readouterr().out.splitlines()[0].startswith("all: 9 done, 1 failed")
 

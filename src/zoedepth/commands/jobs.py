@@ -1,5 +1,6 @@
 """``zoedepth jobs``: what the commands of a job have done together, and one manifest made of theirs."""
 
+import shlex
 import sys
 import textwrap
 from collections.abc import Callable, Sequence
@@ -43,7 +44,7 @@ def status(
     failed: bool = False,
     json_: Annotated[bool, tyro.conf.arg(name="json")] = False,
 ) -> int:
-    """Say how many photos each shard of a job has done, how many have failed, and which shards nobody has begun.
+    """Say how many photos each shard of a job has done, how many have failed, and which shards have done nothing.
 
     Exit codes: 0 nothing has failed, 1 some photos have, 2 there is no job.
 
@@ -72,7 +73,7 @@ def status(
             name = "all" if each.shard.count == 1 else f"shard {each.shard}"
             print(f"{name}: {each.done:,} done, {each.failed:,} failed{state}; began {each.began} by {each.by}")
         for shard in missing_shards(found):
-            print(f"shard {shard}: not begun")
+            print(f"shard {shard}: nothing yet; nobody has begun it, or no photo falls to it")
         if len({each.fingerprint for each in found}) > 1:
             print("The shards have different settings: they are not of one job.")
         print(f"together: {done:,} done, {n_failed:,} failed")
@@ -85,10 +86,12 @@ def merge(out: tyro.conf.Positional[str]) -> int:
     Args:
         out: the --out of the job, a folder.
     """
-    from zoedepth.jobs.report import merge_shards
+    from zoedepth.jobs.report import merge_shards, read_status
 
     done = merge_shards(out)
-    print(f"{done:,} photos are done")
+    n_failed = sum(each.failed for each in read_status(out))
+    failed = f", {n_failed:,} failed: zoedepth jobs status {shlex.quote(out)} --failed" if n_failed else ""
+    print(f"{done:,} photos are done{failed}")
     return 0
 
 
