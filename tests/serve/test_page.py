@@ -874,6 +874,27 @@ class TestPage:
         assert len(refused) == len(bad)
         visit.complaints[:] = [text for text in visit.complaints if text not in refused]
 
+    def test_a_file_that_is_no_photo_leaves_the_one_that_is_open(self, visit: Visit) -> None:
+        visit.upload()
+        visit.page.mouse.click(*window_place(visit, WIDTH // 2, HEIGHT // 2))
+        pins = visit.text("#pins")
+        file = {"name": "report.pdf", "mimeType": "application/pdf", "buffer": b"%PDF-1.7"}
+        visit.page.set_input_files("#choose", files=[file])
+        visit.page.wait_for_selector("#problem:has-text('report.pdf is of the type application/pdf')")
+        assert visit.text("#pins") == pins
+        assert f"{WIDTH} × {HEIGHT}" in visit.text("#about")
+
+    def test_says_which_fields_of_view_there_are(self, visit: Visit) -> None:
+        visit.upload()
+        visit.page.fill("#fov", "170")
+        visit.page.press("#fov", "Tab")
+        assert visit.page.eval_on_selector("#fov", "field => field.validationMessage") == (
+            "A field of view has from 2.8 to 160 degrees."
+        )
+        visit.page.fill("#fov", "70.25")
+        visit.page.press("#fov", "Tab")
+        assert not visit.page.eval_on_selector("#fov", "field => field.validity.customError")
+
     def test_paints_over_what_the_model_is_unsure_of(self, visit: Visit, service: Service) -> None:
         visit.upload()
         arrays = service.arrays()

@@ -16,6 +16,7 @@ _MAX_HEADER = 8_192  # bytes of the headers of a part
 _MAX_FIELD = 1 << 20  # bytes of a part that is no photo
 _RAW = ("image/", "application/octet-stream")
 _HOW = "Send the photo by itself as image/jpeg (or what it is), or as the part photo of multipart/form-data"
+_CURL = "With curl that is -H 'Content-Type: image/jpeg' beside --data-binary, or -F photo=@FILE in place of it"
 
 
 @dataclass
@@ -47,7 +48,7 @@ async def read_parts(request: Request, allowed: Collection[str]) -> dict[str, by
         elif kind.lower().startswith(_RAW):
             parts = {PHOTO: await _read_raw(request)}
         else:
-            raise Problem("unsupported-format", f"The body is said to be {kind[:100]!r}. {_HOW}.")
+            raise Problem("unsupported-format", f"The body is said to be {kind[:100]!r}. {_HOW}. {_CURL}.")
     except ClientDisconnect as gone:
         raise ClientGone from gone
     if not parts.get(PHOTO):

@@ -22,6 +22,7 @@ export class CameraPanel extends EventTarget {
     this.slider.addEventListener("input", () => this.typed("fov", this.slider.valueAsNumber));
     this.fov.addEventListener("input", () => this.typed("fov", this.fov.valueAsNumber));
     this.focal.addEventListener("input", () => this.typed("focal", this.focal.valueAsNumber));
+    for (const kind of ["fov", "focal"]) this[kind].addEventListener("change", () => this.checked(kind));
   }
 
   /** What is chosen, as a question has it. */
@@ -77,6 +78,7 @@ export class CameraPanel extends EventTarget {
 
   typed(kind, value) {
     this.radios[kind].checked = true;
+    this[kind].setCustomValidity("");
     if (!this.size) return;
     if (kind === "fov" && isPossible(kind, value)) {
       if (document.activeElement !== this.fov) this.fov.value = value.toFixed(1);
@@ -90,6 +92,16 @@ export class CameraPanel extends EventTarget {
       return; // not typed to its end
     }
     this.changed();
+  }
+
+  /** Say what is wrong with a number, now that it is typed to its end. */
+  checked(kind) {
+    const field = this[kind];
+    if (isPossible(kind, field.valueAsNumber)) return;
+    field.setCustomValidity(
+      kind === "fov" ? `A field of view has from ${LEAST} to ${MOST} degrees.` : "A focal length is above 0 pixels.",
+    );
+    field.reportValidity();
   }
 
   changed() {

@@ -121,7 +121,19 @@ async function decoded(blob) {
 
 function openFirst(files) {
   const file = [...files].find((each) => each.size || each.type) ?? files[0];
-  if (file) guarded(() => open(file, file.name || "photo"));
+  if (!file) return;
+  guarded(async () => {
+    if (isOtherKind(file.type)) {
+      const detail = `${file.name || "It"} is of the type ${file.type}. Choose a JPEG, PNG, WebP, HEIC or another picture.`;
+      throw new Problem({title: "This file is no photo", detail, status: 415});
+    }
+    await open(file, file.name || "photo");
+  });
+}
+
+/** True where the system knows a file's type, and it is none of a picture: what is open can stay open. */
+function isOtherKind(type) {
+  return type !== "" && type !== "application/octet-stream" && !type.startsWith("image/");
 }
 
 function listenForPhotos() {
