@@ -90,6 +90,12 @@ def test_source_without_a_scored_image_was_not_run_and_is_no_best() -> None:
     assert bold(table, "REL") == ["ours"]
 
 
+def test_data_without_a_scored_image_has_one_table() -> None:
+    rows = [row_of("none", None, data="rooms"), row_of("none", metrics_of(), data="streets")]
+    titles = [table.title.partition(":")[0] for table in report_tables(rows, {})]
+    assert titles == ["rooms", "streets", "streets", "streets"]
+
+
 def test_holes_are_told_below_the_table() -> None:
     rows = [row_of("theirs", metrics_of(), holes=0.123), row_of("few", metrics_of(), holes=1e-6), row_of("ours", None)]
     note = results_table(rows, "rooms").note

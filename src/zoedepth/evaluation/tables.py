@@ -99,6 +99,8 @@ def report_tables(
 ) -> list[ReportTable]:
     """Make three tables for each data set: the metrics, further measures, and REL by true depth.
 
+    Where no image of a data set could be scored, there is the first of them only.
+
     Args:
         summaries: one for each source on each data set.
         paper: data set → (method, metric → value as printed) of the paper.
@@ -107,11 +109,9 @@ def report_tables(
     found = []
     for data in dict.fromkeys(summary.data for summary in summaries):
         mine = [summary for summary in summaries if summary.data == data]
-        found += [
-            results_table(mine, data, paper=paper.get(data, ()), best_only=best_only),
-            extras_table(mine, data),
-            ranges_table(mine, data),
-        ]
+        found.append(results_table(mine, data, paper=paper.get(data, ()), best_only=best_only))
+        if any(summary.metrics is not None for summary in mine):
+            found += [extras_table(mine, data), ranges_table(mine, data)]
     return found
 
 
@@ -218,7 +218,7 @@ def extras_table(summaries: Sequence[Summary], data: str) -> ReportTable:
     other = "pixels" if all(summary.mean == "images" for summary in summaries) else "images"
     header = ("source", f"REL over {other}", f"RMSE over {other}", "SqRel", "RMSE log", "edge F1", "AUSE",
               "within 1 std", "within 2 std")  # fmt: skip
-    return ReportTable(f"{data}: more of the same images", header, tuple(rows), data=data)
+    return ReportTable(f"{data}: further measures", header, tuple(rows), data=data)
 
 
 def ranges_table(summaries: Sequence[Summary], data: str) -> ReportTable:
