@@ -33,6 +33,11 @@ def test_size_and_confidence() -> None:
     assert depth_map(std=None).confidence is None
 
 
+def test_prints_in_a_line() -> None:
+    expected = "DepthMap(60 x 40 pixels, 1.00 to 5.00 m, median 3.00 m, indoor, camera given: 60.0 degrees across)"
+    assert repr(depth_map()) == expected
+
+
 CAMERA = Camera((40, 60), 50.0, 52.0, 28.0, 21.5)
 
 

@@ -614,6 +614,8 @@ def test_options(tiny_model: ZoeDepth) -> None:
     np.testing.assert_allclose(reduced.depth, full.depth, rtol=0.1)
     with pytest.raises((InputError, TypeError), match="precision"):  # TypeError: where types are checked at run time
         Predictor(tiny_model, precision="int4")
+    with pytest.raises((InputError, TypeError), match="resize"):
+        Predictor(tiny_model, resize="crop")
     with pytest.raises(InputError, match="'abacus'"):
         Predictor(tiny_model, device="abacus")
 

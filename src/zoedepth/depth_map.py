@@ -68,6 +68,14 @@ class DepthMap:
     tiles: tuple[int, int] | None = None
     """(rows, columns) of the tiles that the detail of ``depth`` comes from, see ``tiles``; None where it has none."""
 
+    def __repr__(self) -> str:
+        height, width = self.size
+        near, middle, far = np.quantile(self.depth, (0, 0.5, 1))
+        return (
+            f"DepthMap({width} x {height} pixels, {near:.2f} to {far:.2f} m, median {middle:.2f} m, {self.domain}, camera "
+            f"{self.camera.source}: {self.camera.fov_x:.1f} degrees across)"
+        )
+
     @property
     def size(self) -> tuple[int, int]:
         """(height, width) of the photo and of the depth."""

@@ -93,6 +93,8 @@ class Predictor:
     ) -> None:
         if upsampling not in ("bicubic", "bilinear"):
             raise InputError(f"upsampling must be 'bicubic' or 'bilinear', got {upsampling!r}")
+        if resize not in (None, "keep-aspect", "squeeze"):
+            raise InputError(f"resize must be 'keep-aspect', 'squeeze' or None, got {resize!r}")
         if precision not in ("float32", "bfloat16", "float16"):
             raise InputError(f"precision must be 'float32', 'bfloat16' or 'float16', got {precision!r}")
         check_choice(camera)
