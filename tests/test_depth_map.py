@@ -155,7 +155,7 @@ class TestCalibrate:
         known = wall()
         assumed = dataclasses.replace(known, camera=dataclasses.replace(CAMERA, source="assumed"))
         with pytest.raises(
-            InputError, match=rf"^{named} needs the camera of the photo, .*fov_x.*along the optical axis"
+            InputError, match=rf"^{named} needs the camera of the photo, .*--fov-x.*along the optical axis"
         ):
             assumed.calibrate([reading], along_ray=along_ray)
         assert assumed.calibrate([(10, 5, 3.0)]).calibration is not None

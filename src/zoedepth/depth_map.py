@@ -214,7 +214,7 @@ class DepthMap:
             raise InputError(
                 f"{'the distance of two points' if between else 'a reading along the ray'} needs the camera of "
                 f"{photo or 'the photo'}, which is not known ({self.camera_note or 'nobody says it'}): say its field "
-                "of view (fov_x, fov_diagonal), or measure depth along the optical axis"
+                "of view (--fov-x or --fov-diagonal, from Python Lens), or measure depth along the optical axis"
             )
         return replace(found, domain=self.domain, focal_corrected=self.focal_correction != 1)
 

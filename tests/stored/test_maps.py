@@ -53,7 +53,7 @@ def test_floats_in_a_tiff_are_metres_where_nobody_says_their_scale(tmp_path: Pat
 def test_whole_numbers_need_a_scale_in_arrays_too(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", np.array([[500, 0, 65535]], np.uint16))
     np.testing.assert_allclose(read_depth(tmp_path / "depth.npy", scale=1000), [[0.5, 0, 65.535]], rtol=1e-6)
-    with pytest.raises(InputError, match=r"depth\.npy does not say its scale: pass scale=1000"):
+    with pytest.raises(InputError, match=r"depth\.npy does not say its scale: give the stored value of one metre"):
         read_depth(tmp_path / "depth.npy")
     np.save(tmp_path / "grey.npy", np.array([[50, 255]], np.uint8))
     with pytest.raises(InputError, match=r"grey\.npy is not a depth map: it has 8 bits a pixel"):
@@ -65,7 +65,7 @@ def test_levels_of_a_picture_are_divided_by_the_scale(tmp_path: Path) -> None:
     for name in ("depth.png", "depth.tif"):
         path = picture(tmp_path / name, levels)
         np.testing.assert_array_equal(read_depth(path, scale=1000), np.float32([[0.5, 0, 65.535]]))
-        with pytest.raises(InputError, match=rf"{name} does not say its scale: pass scale=1000"):
+        with pytest.raises(InputError, match=rf"{name} does not say its scale: give the stored value of one metre"):
             read_depth(path)
 
 

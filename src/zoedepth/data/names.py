@@ -51,8 +51,8 @@ class Finder:
             name = name.replace("\\", "/")
         if os.name != "nt" and _DRIVE.match(name):
             raise InputError(
-                f"{where}: {name!r} is a path of a Windows system. Write it relative to the folder of the list, or to "
-                "another that you name with --root"
+                f"{where}: {name!r} is a path of a Windows system. Write it relative to the folder of the list (or, "
+                "for photos with depth, to another that you name with --root)"
             )
         path = self._rooted(name, where)
         if not self._anywhere and (".." in Path(name).parts or not _is_inside(path, self.root)):

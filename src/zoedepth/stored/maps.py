@@ -86,7 +86,10 @@ def to_metres(stored: StoredMap, path: str | Path, *, scale: float | None = None
         raise InputError(f"{path} is not a depth map: it has 8 bits a pixel. Give a PNG of one channel of 16 bits")
     scale = scale or stored.scale
     if scale is None and stored.values.dtype.kind != "f":
-        raise InputError(f"{path} does not say its scale: pass scale=1000 for millimetres, or scale=256 for KITTI's")
+        raise InputError(
+            f"{path} does not say its scale: give the stored value of one metre (--depth-scale, from Python "
+            "scale), 1000 for millimetres, or 256 for KITTI's"
+        )
     with np.errstate(over="ignore"):  # float64 beyond float32 is as unknown as infinity
         depth = stored.values.astype(np.float32)
         if scale is not None:
