@@ -72,8 +72,8 @@ class DepthMap:
         height, width = self.size
         near, middle, far = np.quantile(self.depth, (0, 0.5, 1))
         return (
-            f"DepthMap({width} x {height} pixels, {near:.2f} to {far:.2f} m, median {middle:.2f} m, {self.domain}, camera "
-            f"{self.camera.source}: {self.camera.fov_x:.1f} degrees across)"
+            f"DepthMap({width} x {height} pixels, {near:.2f} to {far:.2f} m, median {middle:.2f} m, {self.domain}, "
+            f"camera {self.camera.source}: {self.camera.fov_x:.1f} degrees across)"
         )
 
     @property

@@ -20,12 +20,12 @@ LISTS = (".csv", ".tsv", ".jsonl", ".txt")
 """Suffixes of lists of pairs."""
 
 ACCEPTED = (
-    "accepted are: a list of pairs (.csv, .tsv, .jsonl, .txt); a folder with SPLIT.csv or SPLIT.jsonl; a folder of pairs "
-    f"({', '.join('/ and '.join(layout) + '/' for layout in LAYOUTS)}); shards (a .tar, {INDEX_FILE}, their address, or a "
-    "folder of them, also SPLIT/ in it); the official folder of a published data set, given as NAME=FOLDER with NAME one "
-    f"of {', '.join(DATASETS)}; Hugging Face's data (hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that "
-    "save_to_disk wrote); rendered scenes (synthetic:rooms, synthetic:streets or synthetic:all, with "
-    "[?n=1000&seed=0&size=288x384&fov=35-100])"
+    "accepted are: a list of pairs (.csv, .tsv, .jsonl, .txt); a folder with SPLIT.csv or SPLIT.jsonl; a folder of "
+    f"pairs ({', '.join('/ and '.join(layout) + '/' for layout in LAYOUTS)}); shards (a .tar, {INDEX_FILE}, their "
+    "address, or a folder of them, also SPLIT/ in it); the official folder of a published data set, given as "
+    f"NAME=FOLDER with NAME one of {', '.join(DATASETS)}; Hugging Face's data "
+    "(hf:OWNER/NAME[@REVISION][:SPLIT][?domain=indoor], or a folder that save_to_disk wrote); rendered scenes "
+    "(synthetic:rooms, synthetic:streets or synthetic:all, with [?n=1000&seed=0&size=288x384&fov=35-100])"
 )
 
 SCENES = {"rooms": ("indoor",), "streets": ("outdoor",), "all": ("indoor", "outdoor")}

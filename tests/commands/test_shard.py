@@ -51,6 +51,18 @@ def test_typed_again_it_does_nothing_more(tmp_path: Path) -> None:
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out").iterdir()} == before
 
 
+def test_what_cannot_be_read_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    source = write_pairs(tmp_path / "pairs", n=4, size=(8, 12))
+    photo = tmp_path / "pairs" / "image" / "train_001.jpg"
+    photo.write_bytes(b"damaged")
+    assert run(source, tmp_path / "out") == 1
+    told = capsys.readouterr().err
+    assert f"failed: sample 1: {photo}" in told
+    assert "3 samples in 1 shards, 1 left out" in told
+    assert run(source, tmp_path / "out") == 1
+    assert "Left out before, and not tried again: samples 1. When" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("options", "word"),
     [

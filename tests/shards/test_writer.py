@@ -3,8 +3,11 @@
 import json
 import os
 import tarfile
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,6 +22,7 @@ from zoedepth.errors import InputError
 from zoedepth.geometry.camera import Intrinsics
 from zoedepth.outputs.depth import write_depth_png
 from zoedepth.shards.dataset import ShardDataset
+from zoedepth.shards.index import read_index
 from zoedepth.shards.writer import ShardSize, whole_numbers, write_shards
 from zoedepth.train.run import licence_of
 
@@ -155,6 +159,57 @@ class TestWriting:
         assert first == [3]
         assert (out / "pairs-000000.tar").stat().st_ino == begun
         assert all((out / path.name).read_bytes() == path.read_bytes() for path in shards.iterdir())
+
+    @pytest.mark.parametrize("workers", [0, 2])
+    def test_what_cannot_be_read_is_left_out_and_said(self, pairs: PairDataset, tmp_path: Path, workers: int):
+        kept = {number: pairs.pairs[number].image.read_bytes() for number in (0, 4, 6)}
+        for number in kept:
+            pairs.pairs[number].image.write_bytes(b"damaged")
+        out, told = tmp_path / "out", dict[int, str]()
+        for _ in range(2):  # finished, only what follows the last sample is tried again
+            told.clear()
+            index = write_shards(pairs, out, name="pairs", size=THREE, workers=workers,
+                                 on_failure=lambda number, error: told.update({number: str(error)}))  # fmt: skip
+            assert index.skipped == (0, 4, 6)
+            assert (out / "index.json").read_bytes() == index.to_json().encode()
+            found = ShardDataset(out)
+            assert [found[i].name for i in range(len(found))] == [pairs[i].name for i in (1, 2, 3, 5)]
+            assert pairs.pairs[6].image.name in told[6]
+        assert sorted(told) == [6]
+
+        for number, content in kept.items():
+            pairs.pairs[number].image.write_bytes(content)
+        (out / "pairs-000000.tar").unlink()
+        assert write_shards(pairs, out, name="pairs", size=THREE).skipped == ()
+        assert all(same(ShardDataset(out)[i], pairs[i]) for i in range(7))
+
+    def test_interrupted_writing_goes_on_behind_what_was_left_out(self, pairs: PairDataset, tmp_path: Path):
+        pairs.pairs[1].image.write_bytes(b"damaged")
+        reference, out = tmp_path / "whole", tmp_path / "out"
+        write_shards(pairs, reference, name="pairs", size=THREE, on_failure=lambda *_: None)
+
+        def until_the_fifth(samples: Iterable[object], _: int) -> Iterator[Any]:
+            yield from islice(samples, 5)
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            write_shards(pairs, out, name="pairs", size=THREE, track=until_the_fifth, on_failure=lambda *_: None)
+        assert read_index(out / "index.json").skipped == (1,)
+        write_shards(pairs, out, name="pairs", size=THREE, on_failure=lambda *_: None)
+        assert {path.name: path.read_bytes() for path in out.iterdir()} == {
+            path.name: path.read_bytes() for path in reference.iterdir()
+        }
+
+    def test_data_that_cannot_be_read_at_all_is_an_error(self, pairs: PairDataset, tmp_path: Path, monkeypatch):
+        for pair in pairs.pairs[1:]:
+            pair.image.write_bytes(b"damaged")
+        monkeypatch.setattr("zoedepth.shards.writer.MOST_SKIPPED", 3)
+        with pytest.raises(InputError, match=pairs.pairs[4].image.name):
+            write_shards(pairs, tmp_path / "out", name="pairs", size=THREE, on_failure=lambda *_: None)
+        pairs.pairs[0].image.write_bytes(b"damaged")
+        monkeypatch.setattr("zoedepth.shards.writer.MOST_SKIPPED", 9)
+        with pytest.raises(InputError, match="none of the 7 samples can be read"):
+            write_shards(pairs, tmp_path / "none", name="pairs", size=THREE, on_failure=lambda *_: None)
 
     def test_finished_writing_writes_nothing(self, pairs: PairDataset, shards: Path):
         before = {path.name: path.stat().st_ino for path in shards.iterdir()}

@@ -7,6 +7,9 @@ import tyro
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 
+EXIT_FAILED = 1
+_SHOWN = 20  # numbers of samples, at most
+
 
 def shard(
     source: tyro.conf.Positional[str],
@@ -23,7 +26,9 @@ def shard(
     """Write data as WebDataset shards: a few large files in place of many small ones, fast to copy and to read.
 
     The samples stay the same bit for bit, and photos keep the bytes of their files. Type the command again to go on
-    after an interruption.
+    after an interruption. Samples that cannot be read are named and left out.
+
+    Exit codes: 0 all samples are packed, 1 some were left out, 2 wrong input.
 
     Args:
         source: data in any form, see docs/your-data.md.
@@ -54,6 +59,12 @@ def shard(
         )
     dataset = open_dataset(source, name=name, split=split, depth_scale=depth_scale, domain=domain, root=root)
     console = Console(stderr=True, highlight=False)
+    told: list[int] = []
+
+    def tell(number: int, error: InputError) -> None:
+        told.append(number)
+        console.print(f"failed: sample {number}: {error}", soft_wrap=True, markup=False)
+
     index = write_shards(
         dataset,
         out,
@@ -61,7 +72,16 @@ def shard(
         size=size,
         workers=workers or 0,
         track=lambda samples, first: track(samples, "shards", total=len(dataset), first=first, console=console),
+        on_failure=tell,
     )
-    console.print(f"{len(dataset)} samples in {len(index.shards)} shards", markup=False)
+    if before := sorted(set(index.skipped) - set(told)):
+        console.print(
+            f"Left out before, and not tried again: samples {', '.join(map(str, before[:_SHOWN]))}"
+            f"{', ...' * (len(before) > _SHOWN)}. When they are mended, remove the shards to have them packed",
+            soft_wrap=True,
+        )
+    left_out = f", {len(index.skipped)} left out" if index.skipped else ""
+    n_packed = len(dataset) - len(index.skipped)
+    console.print(f"{n_packed} samples in {len(index.shards)} shards{left_out}", markup=False)
     print(out)
-    return 0
+    return EXIT_FAILED if index.skipped else 0

@@ -101,7 +101,7 @@ def read_cameras(path: str | Path, size: tuple[int, int]) -> Camera | Cameras:
 
     Args:
         path: the file.
-        size: (height, width) of the first photo, upright. It is asked where the file does not say a size, or has several
+        size: (height, width) of the first photo, upright. It counts where the file does not say a size, or has several
             cameras of one; where it has cameras of several sizes, one of them must be for this photo.
 
     Returns:

@@ -58,6 +58,8 @@ class Index:
     """The writer's settings, which must be the same to go on after an interruption."""
     licence: str | None = None
     """The licence of the data, where it is known."""
+    skipped: tuple[int, ...] = ()
+    """Numbers, in the data that was packed, of the samples that could not be read and are in no shard."""
 
     def to_json(self) -> str:
         """Return the text of ``index.json``."""
@@ -79,6 +81,7 @@ class Index:
             "kinds": list(self.kinds),
             "settings": dict(self.settings),
             **({"licence": self.licence} if self.licence else {}),
+            **({"skipped": list(self.skipped)} if self.skipped else {}),
             "shards": shards,
         }
         return json.dumps(record, separators=(",", ":"))
@@ -104,9 +107,10 @@ class Index:
             domains = [str(name) for name in record["domains"]]
             kinds: list[Target] = [kind for kind in ("depth", "disparity") if kind in record["kinds"]]
             licence = record.get("licence")
+            skipped = tuple(int(number) for number in record.get("skipped", ()))
             return cls(
                 shards, domains, kinds, record["complete"] is True, dict(record["settings"]),
-                licence if isinstance(licence, str) else None,
+                licence if isinstance(licence, str) else None, skipped,
             )  # fmt: skip
         except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise InputError(f"{where} is damaged, copy it again ({error!r})") from error

@@ -6,6 +6,7 @@ import tarfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +38,9 @@ from zoedepth.stored import Memory, to_json
 
 SCALES = (PNG_SCALE_MILLIMETRE, PNG_SCALE_KITTI, 5000.0, 100.0, 1.0)
 """Stored values of one metre that are tried, to store depth as whole numbers; 5000 is TUM's."""
+
+MOST_SKIPPED = 1000
+"""Samples that are left out at most, before it is the data as a whole that cannot be read."""
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}")
 _UNITS = {"KB": 10**3, "MB": 10**6, "GB": 10**9}
@@ -84,7 +88,8 @@ def write_shards(
     name: str,
     size: ShardSize,
     workers: int = 0,
-    track: Callable[[Iterable[Packed], int], Iterable[Packed]] = lambda samples, first: samples,
+    track: Callable[[Iterable[Packed | InputError], int], Iterable[Packed | InputError]] = lambda samples, _: samples,
+    on_failure: Callable[[int, InputError], None] | None = None,
 ) -> Index:
     """Write ``out/NAME-000000.tar`` and so on, and ``out/index.json``. Finished shards are not written again.
 
@@ -98,10 +103,12 @@ def write_shards(
         size: how large a shard may become; a shard always takes one sample, however large.
         workers: processes that read and pack; 0 takes this one.
         track: gets the samples and the number of the first one to write, gives them on, and shows progress.
+        on_failure: gets the number of a sample that is damaged or larger than 256 MiB, and why. It is left out
+            (``Index.skipped``), and tried again only where a shard before it is written again. None: it is an error.
 
     Raises:
-        InputError: a sample is damaged or larger than 256 MiB, the folder has other shards, or files have changed since
-            they were packed. Finished shards stay,
+        InputError: a sample cannot be packed, where nobody takes failures, or none can, or more than ``MOST_SKIPPED``
+            cannot; or the folder has other shards, or files have changed since they were packed. Finished shards stay,
             and the same call goes on from there.
     """
     if not _NAME.fullmatch(name):
@@ -111,9 +118,11 @@ def write_shards(
     packing = _Packing(dataset)
     settings = {"name": name, "shard_size": [size.bytes, size.samples], "samples": len(dataset)}
     index = replace(_begun(out, settings, packing), licence=getattr(dataset, "licence", None))
-    first = sum(map(len, index.shards))
+    numbers = _numbers(index, len(dataset))
+    first = numbers[-1] + 1 if numbers else 0
+    skipped = [number for number in index.skipped if number < first]
     rest = DataLoader(packing, sampler=range(first, len(dataset)), batch_size=None, num_workers=workers)
-    samples = iter(track(_unless_failed(rest), first))
+    samples = _sound(track(rest, first), first, skipped, on_failure)
     packed = next(samples, None)
     while packed is not None:
         path = out / f"{name}-{len(index.shards):06d}.tar"
@@ -124,10 +133,13 @@ def write_shards(
             shards=[*index.shards, shard],
             domains=sorted({*index.domains, *(domain for domain, _ in written)}),
             kinds=sorted({*index.kinds, *(kind for _, kind in written)}),
+            skipped=tuple(skipped),
         )
         _write_index(out, index)
-    if not index.complete:
-        index = replace(index, complete=True)
+    if not index.shards:
+        raise InputError(f"none of the {len(dataset)} samples can be read: there is nothing to write")
+    if not index.complete or index.skipped != tuple(skipped):
+        index = replace(index, complete=True, skipped=tuple(skipped))
         _write_index(out, index)
     return index
 
@@ -232,11 +244,28 @@ def _npz(target: DepthArray) -> bytes:
     return file.getvalue()
 
 
-def _unless_failed(samples: Iterable[Packed | InputError]) -> Iterator[Packed]:
-    for sample in samples:
-        if isinstance(sample, InputError):
+def _sound(
+    samples: Iterable[Packed | InputError],
+    first: int,
+    skipped: list[int],
+    on_failure: Callable[[int, InputError], None] | None,
+) -> Iterator[Packed]:
+    """Yield the samples that are none of the errors; the numbers of the others are added to ``skipped``."""
+    for number, sample in enumerate(samples, first):
+        if not isinstance(sample, InputError):
+            yield sample
+        elif on_failure is None or len(skipped) >= MOST_SKIPPED:
             raise sample
-        yield sample
+        else:
+            skipped.append(number)
+            on_failure(number, sample)
+
+
+def _numbers(index: Index, n_samples: int) -> list[int]:
+    """Return the number, in the data, of each sample that is in the shards."""
+    skipped = set(index.skipped)
+    sound = (number for number in range(n_samples) if number not in skipped)
+    return list(islice(sound, sum(map(len, index.shards))))
 
 
 def _write_shard(
@@ -286,8 +315,9 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
             raise InputError(f"{file} is damaged, or was changed: remove it, and it is written again")
         finished.append(shard)
     same = index.settings == settings
+    numbers = _numbers(replace(index, shards=finished), len(packing))
     if same and finished:
-        first = packing[0]
+        first = packing[numbers[0]]
         if isinstance(first, InputError):
             raise first
         with (out / finished[0].name).open("rb") as file:
@@ -296,10 +326,11 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
         raise InputError(f"{out} has shards of other samples or of another size: give another folder, or remove it")
     begin = 0
     for shard in finished:
-        state = _joined([packing.state(number) for number in range(begin, begin + len(shard))])
+        packed = numbers[begin : begin + len(shard)]
+        state = _joined([packing.state(number) for number in packed])
         if shard.state and state != shard.state:
             raise InputError(
-                f"files of samples {begin} to {begin + len(shard) - 1}, or what is said of them, have changed since "
+                f"files of samples {packed[0]} to {packed[-1]}, or what is said of them, have changed since "
                 f"{out / shard.name} was written: remove it, and it is written again, or give another folder"
             )
         begin += len(shard)
