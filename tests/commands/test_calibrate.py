@@ -344,6 +344,10 @@ def test_json_is_the_calibration_alone(
 ) -> None:
     assert calibrate(photo, *readings(depth, 1.5), "--json", "--out", tmp_path / "a.json") == 0
     assert Calibration.from_json(json.loads(capsys.readouterr().out)) == read_calibration(tmp_path / "a.json")
+    assert calibrate(photo, *readings(depth, 250), "--json") == 0
+    printed = capsys.readouterr()
+    assert json.loads(printed.out)["scale"] == pytest.approx(250, rel=0.05)
+    assert "are the readings in metres?" in printed.err
 
 
 @pytest.mark.parametrize(

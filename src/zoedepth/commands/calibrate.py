@@ -186,6 +186,8 @@ def calibrate(
             write_calibration(out, found)
     if json_:
         print(to_json(found.to_json()))
+        for doubt in _doubts(found):
+            Console(stderr=True, highlight=False).print(doubt, soft_wrap=True, markup=False)
     else:
         same = {
             "--model": None if model == "zoed-lite" else model,
@@ -287,17 +289,22 @@ def _told(found: "Calibration", *, n_shown: int, form: str, out: Path | None, sa
             f"{found.scale_error:.0%} of the scale."
         )
     yield f"In other photos of this camera, in four of five cases: {found.error_elsewhere:.0%} at a pixel."
-    factor = found.scale * found.middle ** (found.power - 1)
-    if abs(math.log(factor)) <= math.log1p(found.scale_error):
-        yield "The metres as they are do not contradict the readings: there may be no need of a calibration."
-    if not 1 / _FAR_OFF < factor < _FAR_OFF:
-        yield f"All depths change by a factor of {factor:.2f}: are the readings in metres?"
+    yield from _doubts(found)
     if out is not None:
         if found.n_photos < _ENOUGH:
             more = shlex.join(["--out", str(out), "--add", *same])
             yield f"For other photos, add readings of some: zoedepth calibrate ANOTHER --at X,Y=METRES {more}"
         kept = shlex.join(["--calibration", str(out), *same])
         yield f"Kept in {out}. To use it: zoedepth predict PHOTOS --out FOLDER {kept}"
+
+
+def _doubts(found: "Calibration") -> Iterator[str]:
+    """Yield what speaks against using a calibration, a line each."""
+    factor = found.scale * found.middle ** (found.power - 1)
+    if abs(math.log(factor)) <= math.log1p(found.scale_error):
+        yield "The metres as they are do not contradict the readings: there may be no need of a calibration."
+    if not 1 / _FAR_OFF < factor < _FAR_OFF:
+        yield f"All depths change by a factor of {factor:.2f}: are the readings in metres?"
 
 
 def _remark(reading: "Reading") -> str:
