@@ -48,6 +48,18 @@ def test_a_photo_becomes_a_page_with_its_name(model: dict[str, Any], capsys: pyt
     assert main(["view", "my photo.png"]) == 0  # replaces its own page
 
 
+def test_the_page_is_opened_where_there_is_a_browser(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: not opened.append(address) and len(opened) == 1)
+    photo = write_photo("my photo.png")
+    for said in ("MB).\n", "MB). No browser was found here: open it elsewhere.\n"):
+        assert main(["view", photo, "--open"]) == 0
+        assert capsys.readouterr().out.endswith(said)
+    assert opened == [Path("my photo.html").resolve().as_uri()] * 2
+
+
 def test_points_of_a_photo(capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["--cloud", "--max-points", "100", "--out", "folder/page.html", "--fov-x", "50"]
     assert main(["view", write_photo("photo.png"), *arguments]) == 0

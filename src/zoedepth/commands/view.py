@@ -1,5 +1,6 @@
 """``zoedepth view``: a photo, a mesh or a cloud in three dimensions, on a page for the browser."""
 
+import webbrowser
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,6 +34,7 @@ def view(
     focal_px: float | None = None,
     intrinsics: Annotated[tuple[float, float, float, float] | None, tyro.conf.arg(metavar="FX FY CX CY")] = None,
     device: str = "auto",
+    open_: Annotated[bool, tyro.conf.arg(name="open")] = False,
 ) -> int:
     """Write a page for the browser, on which a photo, a mesh or a cloud can be turned in three dimensions.
 
@@ -60,6 +62,7 @@ def view(
         intrinsics: focal lengths and principal point in pixels.
         device: cpu, cuda, mps, or auto for the best there is; zoed-lite runs on the CPU where no driver of an
             accelerator is found.
+        open_: show the page in the browser of this machine at once.
     """
     page = out or Path(f"{source.stem}.html")
     if page.suffix.lower() not in (".html", ".htm"):
@@ -71,7 +74,7 @@ def view(
                 f"--cloud, --panorama and --max-depth are for photos, and {source} is shown as it is: leave them out"
             )
         write_page_of_file(page, source, up=up)
-        return _tell(page)
+        return _tell(page, show=open_)
     if up is not None:
         raise InputError("--up is for files of meshes and clouds; photos are shown upright: leave it out")
     if max_triangles < 1 or max_points < 1:
@@ -107,10 +110,12 @@ def view(
         maps = predictor(source, domain=domain).maps
     maps = maps.up_to(options.max_depth)
     write_page_of_maps(page, maps, title=source.name, cloud=cloud, most=max_points if cloud else max_triangles)
-    return _tell(page)
+    return _tell(page, show=open_)
 
 
-def _tell(page: Path) -> int:
-    megabytes = page.stat().st_size / 1e6
-    Console(highlight=False).print(f"Page: {page} ({megabytes:.1f} MB). Open it in a browser.", soft_wrap=True)
+def _tell(page: Path, *, show: bool) -> int:
+    size = f"{page.stat().st_size / 1e6:.1f} MB"
+    shown = show and webbrowser.open(page.resolve().as_uri())
+    advice = "" if shown else "No browser was found here: open it elsewhere." if show else "Open it in a browser."
+    Console(highlight=False).print(f"Page: {page} ({size}). {advice}".rstrip(), soft_wrap=True, markup=False)
     return 0
