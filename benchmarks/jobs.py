@@ -151,11 +151,13 @@ def overhead(*, photos: int = 1000, turns: int = 5, network: bool = True) -> int
         network: False predicts tiny photos without one, so that nothing but the work around it is counted.
     """
     from zoedepth import Predictor, load_model
-    from zoedepth.batch import Request, find_photos, predict_all, share_cores
+    from zoedepth.batch import Request, predict_all
     from zoedepth.jobs.inputs import Sources
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.run import Tally, run_job
     from zoedepth.jobs.shard import JobShard
+    from zoedepth.photos import find_photos
+    from zoedepth.threads import share_cores
 
     request = Request("zoed-lite", ("depth",))
     with tempfile.TemporaryDirectory() as name, share_cores(1):
@@ -204,12 +206,13 @@ def ray_overhead(*, photos: int = 512, turns: int = 5, workers: int | None = Non
         workers: cores; None: all.
     """
     from zoedepth import Predictor, load_model
-    from zoedepth.batch import Request, cpu_count, share_cores
+    from zoedepth.batch import Request
     from zoedepth.jobs.inputs import Sources
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.ray_engine import run_on_ray
     from zoedepth.jobs.run import Tally, run_job
     from zoedepth.jobs.shard import JobShard
+    from zoedepth.threads import cpu_count, share_cores
 
     n_cores, request = workers or cpu_count(), Request("zoed-lite", ("depth",))
     with tempfile.TemporaryDirectory() as name:
@@ -297,8 +300,10 @@ def many(*, photos: int = 100_000) -> int:
 def parts(*, photos: int = 50) -> int:
     """Measure decoding, the model and encoding apart: processor time of a photo of 640 x 480, and of 4000 x 3000."""
     from zoedepth import Predictor, load_model
-    from zoedepth.batch import Photo, Request, predict_maps, share_cores, write_drafts
+    from zoedepth.batch import Request, predict_maps, write_drafts
     from zoedepth.images import read_image
+    from zoedepth.photos import Photo
+    from zoedepth.threads import share_cores
 
     with tempfile.TemporaryDirectory() as name, share_cores(1):
         folder = Path(name)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from zoedepth import threads as module
-from zoedepth.threads import has_accelerator, thread_count, threads, threads_kept, wait_asleep
+from zoedepth.threads import has_accelerator, share_cores, thread_count, threads, threads_kept, wait_asleep
 
 
 def printed(code: str, **environment: str) -> list[str]:
@@ -103,3 +103,14 @@ def test_threads_are_kept_where_blocks_overlap() -> None:
         assert thread_count() == torch.get_num_threads() == before
     finally:
         torch.set_num_threads(before)
+
+
+@pytest.mark.parametrize(("workers", "expected"), [(2, 3), (4, 1), (1000, 1)])
+def test_forwards_side_by_side_share_the_cores(monkeypatch: pytest.MonkeyPatch, workers: int, expected: int) -> None:
+    monkeypatch.setattr("zoedepth.threads.cpu_count", lambda: 6)
+    threads = torch.get_num_threads()
+    with share_cores(1):
+        assert torch.get_num_threads() == threads
+    with share_cores(workers):
+        assert torch.get_num_threads() == expected
+    assert torch.get_num_threads() == threads

@@ -33,6 +33,9 @@ MODULES = {
 """Old name of a module → the new one; it holds for what is inside of a package, too."""
 
 NAMES = {
+    ("zoedepth.batch", "Found"): ("zoedepth.photos", "Found"),
+    ("zoedepth.batch", "find_photos"): ("zoedepth.photos", "find_photos"),
+    ("zoedepth.batch", "share_cores"): ("zoedepth.threads", "share_cores"),
     ("zoedepth.images", "read_depth"): ("zoedepth.stored", "read_depth"),
     ("zoedepth.weights.load", "ZoeDepth"): ("zoedepth.weights.pretrained", "ZoeDepth"),
     ("zoedepth.weights.load", "push_to_hub"): ("zoedepth.weights.save", "push_to_hub"),

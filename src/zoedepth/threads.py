@@ -82,6 +82,17 @@ def threads(number: int) -> Iterator[None]:
             sys.modules["torch"].set_num_threads(before)
 
 
+@contextmanager
+def share_cores(workers: int) -> Iterator[None]:
+    """Give each of ``workers`` forwards that run at the same time its share of the cores, until the block ends.
+
+    A model in OpenVINO's or ONNX's format takes its number of threads when it is loaded: load it inside.
+    """
+    # A core for each photo: the threads of one forward wait for each other all the time.
+    with threads(thread_count() if workers < 2 else max(1, cpu_count() // workers)):
+        yield
+
+
 _KEPT = Lock()
 _keeping = 0
 _kept = 0

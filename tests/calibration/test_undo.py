@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from zoedepth.batch import Request, find_photos, predict_all
+from zoedepth.batch import Request, predict_all
 from zoedepth.calibration import Calibration, is_calibrated, undo_files
 from zoedepth.errors import InputError
 from zoedepth.model.zoedepth import ZoeDepth
 from zoedepth.outputs import Options
 from zoedepth.outputs.sidecar import read_sidecar
+from zoedepth.photos import find_photos
 from zoedepth.predict import Predictor
 from zoedepth.stored import read_depth, read_npz
 

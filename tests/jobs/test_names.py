@@ -4,8 +4,8 @@ import sqlite3
 
 import pytest
 
-from zoedepth.batch import NamesInMemory
 from zoedepth.jobs.names import Names, key_of, row_key, temporary_database
+from zoedepth.photos import NamesInMemory
 
 
 def test_each_name_is_new_once() -> None:

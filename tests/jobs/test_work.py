@@ -8,12 +8,13 @@ import pytest
 from tests.jobs.photos import REQUEST, Brightness, contents, write_photo
 from tests.test_batch import fail_with
 
-from zoedepth.batch import Photo, predict_photo
+from zoedepth.batch import predict_photo
 from zoedepth.depth_map import DepthMap
 from zoedepth.jobs.destinations import LocalFolder
 from zoedepth.jobs.origins import Held
 from zoedepth.jobs.work import Done, Input, do_photo
 from zoedepth.outputs import sidecar
+from zoedepth.photos import Photo
 
 
 def photo_of(path: Path) -> Input:

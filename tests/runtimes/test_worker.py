@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zoedepth.batch import Outcome, Photo, Request
+from zoedepth.batch import Outcome, Request
 from zoedepth.errors import InputError
+from zoedepth.photos import Photo
 from zoedepth.predict import Predictor
 from zoedepth.runtimes import worker as workers
 from zoedepth.runtimes.runtime import BASE, Runtime

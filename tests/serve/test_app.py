@@ -7,10 +7,11 @@ import pytest
 from PIL import Image
 from tests.serve.running import Client, photo, read_maps, running
 
-from zoedepth.batch import Request, find_photos, predict_photo
+from zoedepth.batch import Request, predict_photo
 from zoedepth.calibration import calibrate, read_calibration, write_calibration
 from zoedepth.depth_map import DepthMap
 from zoedepth.outputs import Options
+from zoedepth.photos import find_photos
 from zoedepth.predict import Predictor
 from zoedepth.serve.app import create_app
 from zoedepth.serve.settings import Settings

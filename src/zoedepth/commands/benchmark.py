@@ -61,8 +61,8 @@ def benchmark(
         compat: see `zoedepth predict`.
         json_: file to write the table and the choice to.
     """
-    from zoedepth.batch import find_photos
     from zoedepth.commands.progress import download_progress
+    from zoedepth.photos import find_photos
     from zoedepth.runtimes.benchmark import benchmark as measure
     from zoedepth.runtimes.choice import write_choice
 

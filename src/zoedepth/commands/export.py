@@ -38,9 +38,9 @@ def export(
         json_: print one JSON object instead of the name: files, format, int8, difference (the largest median relative
             difference to torch's depth; the mean one over photos in int8), licence and trained_on.
     """
-    from zoedepth.batch import find_photos
     from zoedepth.commands.progress import download_progress
     from zoedepth.export.write import SUFFIXES, check_wish, export_model
+    from zoedepth.photos import find_photos
     from zoedepth.runtimes.benchmark import MAX_CALIBRATION
     from zoedepth.weights.load import load_model
 

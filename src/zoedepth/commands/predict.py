@@ -23,7 +23,7 @@ from zoedepth.outputs import OUTPUTS, Options, output_names
 from zoedepth.stored import to_json
 
 if TYPE_CHECKING:
-    from zoedepth.batch import Found, Request
+    from zoedepth.batch import Request
     from zoedepth.forward.answer import Precision
     from zoedepth.jobs.destinations import Destination
     from zoedepth.jobs.inputs import Sources
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from zoedepth.jobs.run import Tally
     from zoedepth.jobs.work import Done, Input
     from zoedepth.model.interface import DepthModel
+    from zoedepth.photos import Found
     from zoedepth.weights.exported import ExportedModel
 
 EXIT_FAILED, EXIT_NOTHING_TO_DO, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 2, 130, 143
@@ -170,7 +171,7 @@ def predict(
         json_: print one JSON object a line for each photo: photo, files, size (height, width), depth (min, median and
             max in metres), domain, projection, camera, focal_correction, calibration, seconds and error.
     """
-    from zoedepth.batch import Request, cpu_count, share_cores
+    from zoedepth.batch import Request
     from zoedepth.calibration import read_calibration
     from zoedepth.commands.cameras import chosen_camera
     from zoedepth.commands.streams import STREAM, standard_streams
@@ -178,6 +179,7 @@ def predict(
     from zoedepth.jobs.origins import is_address
     from zoedepth.jobs.place import job_place
     from zoedepth.jobs.shard import JobShard
+    from zoedepth.threads import cpu_count, share_cores
     from zoedepth.tiles import read_tiles
 
     console = Console(stderr=True, highlight=False)

@@ -71,12 +71,11 @@ def serve(
         grace: seconds that requests have to end after SIGTERM or Ctrl-C.
         access_log: log every request.
     """
-    from zoedepth.batch import share_cores
     from zoedepth.serve.answers import remove_drafts
     from zoedepth.serve.app import create_app
     from zoedepth.serve.server import bind, run, run_several
     from zoedepth.serve.settings import Limits, Settings
-    from zoedepth.threads import cpu_count
+    from zoedepth.threads import cpu_count, share_cores
 
     if workers < 1:
         raise InputError(f"--workers must be 1 or more, got {workers}")

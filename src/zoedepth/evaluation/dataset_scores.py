@@ -8,7 +8,7 @@ from pathlib import Path
 from threading import Lock
 from typing import TypeVar
 
-from zoedepth.batch import in_turn, share_cores
+from zoedepth.batch import in_turn
 from zoedepth.data.sample import Sample, Samples
 from zoedepth.errors import InputError
 from zoedepth.evaluation.identity import Stamps
@@ -16,6 +16,7 @@ from zoedepth.evaluation.predictions import PredictionSource, predict, prepare
 from zoedepth.evaluation.protocols import Protocol
 from zoedepth.evaluation.score_files import ScoreFiles
 from zoedepth.evaluation.scoring import Score, score
+from zoedepth.threads import share_cores
 
 
 @dataclass(frozen=True)

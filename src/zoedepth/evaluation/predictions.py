@@ -12,7 +12,6 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 
-from zoedepth.batch import share_cores
 from zoedepth.config import ModelConfig
 from zoedepth.data.augment import kitti_crop
 from zoedepth.data.fit import lies_across
@@ -30,7 +29,7 @@ from zoedepth.opening import open_dataset
 from zoedepth.predict import Predictor
 from zoedepth.runtimes.fast import load_fast
 from zoedepth.stored import DEPTH_SUFFIXES, StoredMap, read_stored
-from zoedepth.threads import cpu_count
+from zoedepth.threads import cpu_count, share_cores
 from zoedepth.weights.exported import ExportedModel
 from zoedepth.weights.fingerprint import files_state, fingerprint, weights_fingerprint
 from zoedepth.weights.load import find, load_for_prediction, pinned

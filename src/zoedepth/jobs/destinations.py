@@ -12,10 +12,11 @@ from pathlib import Path, PurePosixPath
 from tempfile import mkdtemp
 from typing import Protocol
 
-from zoedepth.batch import Photo, Request, blocked, earlier_files, end_of_writing
+from zoedepth.batch import Request, blocked, earlier_files, end_of_writing
 from zoedepth.errors import InputError
 from zoedepth.images import atomic_path
 from zoedepth.outputs import sidecar as sidecars
+from zoedepth.photos import Photo
 from zoedepth.stored import unreadable
 
 DRAFTS = ".zoedepth-drafts"

@@ -22,7 +22,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, BinaryIO, cast
 
-from zoedepth.batch import MAX_HELD, Found, Origin, left_out, own_name, targets, walk_photos
+from zoedepth.batch import MAX_HELD
 from zoedepth.data.names import Finder
 from zoedepth.data.tables import SEPARATORS
 from zoedepth.errors import OPTIONAL, InputError, MissingExtraError, no_such
@@ -42,6 +42,7 @@ from zoedepth.jobs.origins import (
 )
 from zoedepth.jobs.shard import JobShard
 from zoedepth.jobs.work import Input
+from zoedepth.photos import Found, Origin, left_out, own_name, targets, walk_photos
 from zoedepth.stored.tars import MAX_HEADER, open_tar
 
 LISTS = (".txt", ".lst")

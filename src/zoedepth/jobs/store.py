@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
-from zoedepth.batch import Photo, Request, files_of
+from zoedepth.batch import Request, files_of
 from zoedepth.errors import InputError
 from zoedepth.jobs.origins import open_store, patiently
 from zoedepth.outputs import sidecar as sidecars
 from zoedepth.outputs.ownership import has_own_mark
+from zoedepth.photos import Photo
 
 _EXCLUSIVE = {"s3", "s3a", "gs", "gcs"}
 """Stores that can be asked to take a file only if there is none."""

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
-from zoedepth.batch import NamedBytes, Origin, Outcome, Photo, Request, files_of, predict_maps, write_drafts
+from zoedepth.batch import NamedBytes, Outcome, Request, files_of, predict_maps, write_drafts
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.jobs.destinations import Destination
 from zoedepth.jobs.manifest import Entry
 from zoedepth.outputs.sidecar import ENDING
+from zoedepth.photos import Origin, Photo
 from zoedepth.predict import Predictor
 
 

@@ -13,11 +13,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal, Protocol
 
-from zoedepth.batch import Photo, Request, predict_photo, share_cores
+from zoedepth.batch import Request, predict_photo
 from zoedepth.errors import InputError, ZoeDepthError
 from zoedepth.images import DepthArray, read_image
+from zoedepth.photos import Photo
 from zoedepth.predict import Predictor
 from zoedepth.runtimes.runtime import Runtime
+from zoedepth.threads import share_cores
 
 LONG_ENOUGH = 1.0
 """Seconds that several photos at a time are timed, at least."""
