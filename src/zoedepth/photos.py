@@ -1,7 +1,9 @@
 """The photos that files, folders and globs name: each once, each with a place for its files that no other has.
 
-for photo in find_photos(["photos/"], Path("depth")).photos:
-    print(photo.path, photo.file("_depth.png"))
+Jobs, ``zoedepth predict`` and ``predict_all`` take them from here.
+
+    for photo in find_photos(["photos/"], Path("depth")).photos:
+        print(photo.path, photo.file("_depth.png"))
 """
 
 import glob
