@@ -139,7 +139,7 @@ class TestPush:
         pushed, converted = capsys.readouterr().out, (tmp_path / "lite/README.md").read_text()
         for card in (pushed, converted):
             assert "license: other\nlicense_name: non-commercial-research\n" in card
-            assert "| NYU Depth v2, 654 test pairs | 0.164 |" in card
+            assert "| NYU Depth v2, 654 test pairs | 0.162 |" in card
             assert "CC BY-NC-SA 3.0" in card
         assert main(["push", "zoed-lite", "me/lite", "--dry-run", "--licence", "mit"]) == 2
         assert main(["convert", "zoed-lite", str(tmp_path / "mit"), "--to", "zoedepth", "--licence", "mit"]) == 2

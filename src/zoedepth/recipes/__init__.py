@@ -19,6 +19,7 @@ RECIPES: dict[str, Callable[[], TrainConfig]] = {
     "zoed_lite_small": zoed_lite.small_metric,
     "zoed_lite": zoed_lite.metric,
     "zoed_lite_longer": zoed_lite.longer_metric,
+    "zoed_lite_decoder": zoed_lite.decoder_metric,
     "demo_relative": demo.relative,
     "demo": demo.metric,
     # Stage 1.

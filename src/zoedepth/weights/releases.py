@@ -71,11 +71,11 @@ RELEASES: dict[str, Release] = {
         "relative depth",
         graph="zoed-lite.onnx",
         measured={
-            "NYU Depth v2, 654 test pairs": _measured(0.164, 0.548, 0.067, 0.773, 0.948, 0.987),
-            "KITTI 2015, 38 pairs": _measured(0.093, 3.951, 0.041, 0.895, 0.982, 0.995),
-            "KITTI raw, one drive, 26 pairs": _measured(0.178, 5.228, 0.081, 0.747, 0.925, 0.962),
-            "7-Scenes, red kitchen, 40 pairs": _measured(0.270, 0.517, 0.101, 0.558, 0.874, 0.982),
-            "Replica, one flat, 41 pairs": _measured(0.252, 0.602, 0.109, 0.577, 0.829, 0.933),
+            "NYU Depth v2, 654 test pairs": _measured(0.162, 0.545, 0.067, 0.776, 0.949, 0.987),
+            "KITTI 2015, 38 pairs": _measured(0.092, 3.898, 0.041, 0.900, 0.983, 0.996),
+            "KITTI raw, one drive, 26 pairs": _measured(0.172, 5.220, 0.079, 0.755, 0.928, 0.962),
+            "7-Scenes, red kitchen, 40 pairs": _measured(0.269, 0.518, 0.100, 0.560, 0.878, 0.981),
+            "Replica, one flat, 41 pairs": _measured(0.253, 0.603, 0.110, 0.573, 0.829, 0.929),
         },
     ),
     "zoed-m12-n": Release(
