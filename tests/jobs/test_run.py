@@ -18,7 +18,7 @@ from tests.jobs.photos import REQUEST, Brightness, contents, entries, run, write
 from tests.servers import PATIENCE
 from tests.test_batch import fail_with
 
-from zoedepth import batch
+from zoedepth import batch, photos
 from zoedepth.batch import Request
 from zoedepth.depth_map import DepthMap
 from zoedepth.errors import InputError
@@ -97,7 +97,7 @@ def test_photos_of_an_earlier_command_are_not_opened_again(
 ) -> None:
     run(folder, out=tmp_path / "out")
     looked_at = []
-    monkeypatch.setattr(batch, "is_own_file", lambda file: looked_at.append(file.name))
+    monkeypatch.setattr(photos, "is_own_file", lambda file: looked_at.append(file.name))
     write_photo(folder / "day 1" / "new.png")
     _, tally = run(folder, out=tmp_path / "out", known=True)
     assert (looked_at, tally.done, tally.before) == (["new.png"], 1, 4)

@@ -314,8 +314,8 @@ def _begun(out: Path, settings: dict[str, object], packing: _Packing) -> Index:
         if shard.sha256 is not None and sha256_of(file) != shard.sha256:
             raise InputError(f"{file} is damaged, or was changed: remove it, and it is written again")
         finished.append(shard)
-    same = index.settings == settings
     numbers = _numbers(replace(index, shards=finished), len(packing))
+    same = index.settings == settings and len(numbers) == sum(map(len, finished))
     if same and finished:
         first = packing[numbers[0]]
         if isinstance(first, InputError):
