@@ -66,7 +66,7 @@ def test_published_set_by_its_name(tmp_path: Path) -> None:
     dataset = open_dataset(tmp_path, name="nyu")
     assert isinstance(dataset, DATASETS["nyu"])
     assert dataset[0].target.unique().tolist() == [2]
-    with pytest.raises(InputError, match="accepted are: "):
+    with pytest.raises(InputError, match="folders of photos and depth; accepted are: "):
         open_dataset(tmp_path)
 
 

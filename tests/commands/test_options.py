@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import pytest
 import tyro
 
-from zoedepth.commands.options import WIDTH, call
+from zoedepth.commands.options import WIDTH, call, words_of
 from zoedepth.errors import InputError
 
 given: dict[str, object] = {}
@@ -102,3 +102,8 @@ def test_a_value_that_is_none_is_said_by_tyro(capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr()
     assert "large" in printed.err
     assert printed.out == ""
+
+
+def test_words_say_the_options_that_are_given() -> None:
+    options = {"--fast": True, "--no-flip": False, "--model": None, "--compat": (), "--intrinsics": (1.5, 2.0)}
+    assert words_of(options) == ["--fast", "--intrinsics", "1.5", "2.0"]

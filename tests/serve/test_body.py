@@ -59,6 +59,7 @@ def test_other_types_of_bodies_are_not_supported(kind: str, client: Client) -> N
     answer = client.ask("/v1/depth", photo(), headers={"Content-Type": kind})
     assert (answer.status, answer.problem) == (415, "unsupported-format")
     assert "image/jpeg" in answer.json["detail"]
+    assert "With curl that is -H 'Content-Type: image/jpeg'" in answer.json["detail"]
 
 
 def test_the_type_that_is_said_does_not_matter_for_a_photo(client: Client) -> None:

@@ -878,6 +878,7 @@ class TestPage:
         visit.upload()
         visit.page.mouse.click(*window_place(visit, WIDTH // 2, HEIGHT // 2))
         pins = visit.text("#pins")
+        assert in_metres(pins) > 0
         file = {"name": "report.pdf", "mimeType": "application/pdf", "buffer": b"%PDF-1.7"}
         visit.page.set_input_files("#choose", files=[file])
         visit.page.wait_for_selector("#problem:has-text('report.pdf is of the type application/pdf')")

@@ -200,6 +200,12 @@ class TestWriting:
             path.name: path.read_bytes() for path in reference.iterdir()
         }
 
+    def test_an_index_that_leaves_out_too_much_is_of_other_samples(self, pairs: PairDataset, shards: Path):
+        index = replace(read_index(shards / "index.json"), skipped=(1, 2))
+        (shards / "index.json").write_text(index.to_json())
+        with pytest.raises(InputError, match="other samples or of another size"):
+            write_shards(pairs, shards, name="pairs", size=THREE)
+
     def test_data_that_cannot_be_read_at_all_is_an_error(self, pairs: PairDataset, tmp_path: Path, monkeypatch):
         for pair in pairs.pairs[1:]:
             pair.image.write_bytes(b"damaged")

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.text import Text
 
+from zoedepth.commands.options import words_of
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.images import atomic_path
@@ -175,11 +176,10 @@ def _told(result: "Benchmark", model: str, *, device: str, compat: "Sequence[str
     )
     chosen = next(row for row in result.rows if row.runtime == choice.runtime)
     yield f"Chosen: {choice.runtime}, {chosen.photos_a_second:.2f} photos a second, REL {chosen.difference:.1e}."
-    options = ["--fast"]
-    if model != "zoed-lite":
-        options += ["--model", model]
-    if device != "auto":
-        options += ["--device", device]
-    if compat:
-        options += ["--compat", *compat]
-    yield f"To use it: zoedepth predict PHOTOS --out FOLDER {shlex.join(options)}"
+    options = {
+        "--fast": True,
+        "--model": None if model == "zoed-lite" else model,
+        "--device": None if device == "auto" else device,
+        "--compat": compat,
+    }
+    yield f"To use it: zoedepth predict PHOTOS --out FOLDER {shlex.join(words_of(options))}"

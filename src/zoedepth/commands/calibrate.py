@@ -3,7 +3,7 @@
 import math
 import os
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +13,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from zoedepth.commands.options import words_of
 from zoedepth.errors import InputError
 from zoedepth.folders import check_writable
 from zoedepth.lock import only_one
@@ -124,7 +125,7 @@ def calibrate(
     sparse = None if depth is None else _read_sparse(depth, photo, scale=depth_scale)
 
     from zoedepth.calibration import check_replaceable, places_to_measure, read_calibration, write_calibration
-    from zoedepth.commands.cameras import chosen_camera
+    from zoedepth.commands.cameras import camera_options, chosen_camera
     from zoedepth.commands.progress import download_progress
     from zoedepth.predict import Predictor
     from zoedepth.weights.load import load_for_prediction, pinned, weights_of
@@ -186,37 +187,22 @@ def calibrate(
             write_calibration(out, found)
     if json_:
         print(to_json(found.to_json()))
+        console = Console(stderr=True, highlight=False)
         for doubt in _doubts(found):
-            Console(stderr=True, highlight=False).print(doubt, soft_wrap=True, markup=False)
+            console.print(doubt, soft_wrap=True, markup=False)
     else:
         same = {
             "--model": None if model == "zoed-lite" else model,
             "--no-flip": not flip,
             "--pad": None if pad == "model" else pad,
             "--domain": domain,
-            "--camera": camera,
-            "--fov-x": fov_x,
-            "--fov-y": fov_y,
-            "--fov-diagonal": fov_diagonal,
-            "--focal-px": focal_px,
-            "--intrinsics": intrinsics,
+            **camera_options(camera, fov_x, fov_y, fov_diagonal, focal_px, intrinsics),
             "--focal-correction": None if focal_correction == "model" else focal_correction,
-            "--compat": compat or None,
+            "--compat": compat,
             "--precision": None if precision == "float32" else precision,
         }
-        _show(found, photo, form=form, out=out, same=_words(same))
+        _show(found, photo, form=form, out=out, same=words_of(same))
     return 0
-
-
-def _words(options: Mapping[str, object]) -> list[str]:
-    """Return the words of a command line that say these options; None and False are those that were not given."""
-    words: list[str] = []
-    for name, value in options.items():
-        if value is None or value is False:
-            continue
-        values = value if isinstance(value, tuple) else () if value is True else (value,)
-        words += [name, *(str(each) for each in values)]
-    return words
 
 
 def _read_sparse(path: Path, photo: Path, *, scale: float | None) -> "DepthArray":

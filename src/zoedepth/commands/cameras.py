@@ -42,14 +42,7 @@ def chosen_camera(
     Raises:
         InputError: several of them are given, one has a value that no camera has, or the file cannot be read.
     """
-    given = {
-        "--camera": camera,
-        "--fov-x": fov_x,
-        "--fov-y": fov_y,
-        "--fov-diagonal": fov_diagonal,
-        "--focal-px": focal_px,
-        "--intrinsics": intrinsics,
-    }
+    given = camera_options(camera, fov_x, fov_y, fov_diagonal, focal_px, intrinsics)
     names = [name for name, value in given.items() if value is not None]
     if len(names) > 1:
         raise InputError(f"{' and '.join(names)} each say the camera: give one of them")
@@ -66,6 +59,25 @@ def chosen_camera(
     if names and camera is None:
         return Lens(fov_x=fov_x, fov_y=fov_y, fov_diagonal=fov_diagonal)
     return "exif"
+
+
+def camera_options(
+    camera: str | None,
+    fov_x: float | None,
+    fov_y: float | None,
+    fov_diagonal: float | None,
+    focal_px: float | None,
+    intrinsics: tuple[float, float, float, float] | None,
+) -> dict[str, object]:
+    """Return option → its value, of those that say the camera; None for those that are not given."""
+    return {
+        "--camera": camera,
+        "--fov-x": fov_x,
+        "--fov-y": fov_y,
+        "--fov-diagonal": fov_diagonal,
+        "--focal-px": focal_px,
+        "--intrinsics": intrinsics,
+    }
 
 
 def _size_of_first(photos: Iterable[Photo]) -> tuple[int, int]:

@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import MISSING, field, make_dataclass
 from pathlib import Path
@@ -57,6 +57,17 @@ def call(function: Callable[..., int], arguments: Sequence[str], *, prog: str, c
     values = vars(read(make_dataclass("Options", first, kw_only=True), arguments, prog=prog, description=about))
     nested = values.pop("more", None)
     return function(**values, **({} if nested is None else vars(nested)))
+
+
+def words_of(options: Mapping[str, object]) -> list[str]:
+    """Return the words of a command line that say these options; None, False and () are those that are not given."""
+    words: list[str] = []
+    for name, value in options.items():
+        if value is None or value is False or value == ():
+            continue
+        values = value if isinstance(value, tuple) else () if value is True else (value,)
+        words += [name, *(str(each) for each in values)]
+    return words
 
 
 def read(
